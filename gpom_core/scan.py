@@ -163,8 +163,8 @@ def _check_pose(pose: Pose2D) -> None:
         or abs(pose.yaw_rad) > MAX_ABS_YAW_RAD
     ):
         message = (
-            f"the pose {tuple(pose)} is out of range; expected |x|, |y| <= {MAX_ABS_POSITION_M:g} m "
-            f"and |yaw| <= {MAX_ABS_YAW_RAD:g} rad"
+            f"the pose {tuple(pose)} is out of range; expected |x| and |y| up to "
+            f"{MAX_ABS_POSITION_M:g} m and |yaw| up to {MAX_ABS_YAW_RAD:g} rad"
         )
         raise InvalidScanError("pose_out_of_range", message)
 

@@ -5,6 +5,7 @@ import zlib
 from contextlib import suppress
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -80,12 +81,10 @@ def test_a_cut_scan_is_refused(scan: Scan, data: st.DataObject) -> None:
     payload = encode(scan)
     length = data.draw(st.integers(0, len(payload) - 1))
 
-    try:
+    with pytest.raises(InvalidScanError) as caught:
         decode(payload[:length])
-    except InvalidScanError as error:
-        assert error.reason == "truncated"
-    else:
-        raise AssertionError("a truncated payload was accepted")
+
+    assert caught.value.reason == "truncated"
 
 
 @given(scans(), st.data(), st.booleans())
