@@ -11,18 +11,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled
-from gpom_core.quadrature import NODES, WEIGHTS, fill_rule, node_count, panel_count
+from gpom_core.quadrature import fill_rule, node_count, panel_count
 from gpom_core.special import erf, exp_neg
 
 _SQRT_HALF: Final = 0.7071067811865476
 _SQRT_HALF_PI: Final = 1.2533141373155003
 
-# Up to this length four nodes are cheaper than two error functions, and more accurate: the
-# closed form divides the error of erf by the length.
+# Up to this length a series is cheaper than two error functions, and more accurate: the closed
+# form divides the error of erf by the length.
 _SHORT: Final = 0.45
 
 # Kernel values between shapes farther apart than this are below 1e-10 and left at zero.
 CUTOFF: Final = 6.8
+
+
+@compiled
+def _short_series(length: float) -> tuple[float, float, float, float, float]:
+    """Coefficients a of sum_k a_k c^2k exp(-c^2 / 2), the average over an interval centred at -c.
+
+    The Taylor series in the length, to its eighth power: the kernel's derivatives are Hermite
+    polynomials times the kernel. The error is below 1e-11 up to length 0.45.
+    """
+    g = 0.25 * length * length
+    g1, g2, g3, g4 = g / 6.0, g * g / 120.0, g * g * g / 5040.0, g * g * g * g / 362880.0
+    return (
+        1.0 - g1 + 3.0 * g2 - 15.0 * g3 + 105.0 * g4,
+        g1 - 6.0 * g2 + 45.0 * g3 - 420.0 * g4,
+        g2 - 15.0 * g3 + 210.0 * g4,
+        g3 - 28.0 * g4,
+        g4,
+    )
 
 
 @compiled
@@ -31,12 +49,10 @@ def interval_average(s: float, length: float) -> float:
     if length > _SHORT:
         reach = erf((length - s) * _SQRT_HALF) + erf(s * _SQRT_HALF)
         return _SQRT_HALF_PI / length * reach
-    n = node_count(length)
-    total = 0.0
-    for q in range(n):
-        offset = s - length * NODES[n - 1, q]
-        total += WEIGHTS[n - 1, q] * exp_neg(-0.5 * offset * offset)
-    return total
+    a0, a1, a2, a3, a4 = _short_series(length)
+    c = s - 0.5 * length
+    c2 = c * c
+    return exp_neg(-0.5 * c2) * (a0 + c2 * (a1 + c2 * (a2 + c2 * (a3 + c2 * a4))))
 
 
 @compiled
@@ -47,13 +63,11 @@ def interval_averages(s: NDArray[np.float64], length: float, out: NDArray[np.flo
         for k in range(s.size):
             out[k] = factor * (erf((length - s[k]) * _SQRT_HALF) + erf(s[k] * _SQRT_HALF))
         return
-    n = node_count(length)
-    out[:] = 0.0
-    for q in range(n):
-        u = length * NODES[n - 1, q]
-        weight = WEIGHTS[n - 1, q]
-        for k in range(s.size):
-            out[k] += weight * exp_neg(-0.5 * (s[k] - u) * (s[k] - u))
+    a0, a1, a2, a3, a4 = _short_series(length)
+    for k in range(s.size):
+        c = s[k] - 0.5 * length
+        c2 = c * c
+        out[k] = exp_neg(-0.5 * c2) * (a0 + c2 * (a1 + c2 * (a2 + c2 * (a3 + c2 * a4))))
 
 
 @compiled

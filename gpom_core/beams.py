@@ -1,0 +1,271 @@
+"""Beams into rows: hits onto hit cells, the free part of beams onto free areas or free segments."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.clusters import Clusters, add_hit_moments, touch
+from gpom_core.jit import compiled
+from gpom_core.rows import NONE, Places, Rows, attach, cell_key, detach, find, find_or_add
+
+POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
+SURFACE_KEY, BLOCK_KEY = 0, 1
+BLOCK_CELLS = 8  # open space is handed to clusters in squares of this many cells
+
+
+@compiled
+def absorb_hits(
+    xy: NDArray[np.float64],
+    homes: NDArray[np.int32],
+    rows: Rows,
+    surfaces: Places,
+    clusters: Clusters,
+    hit_cell_m: float,
+    cell_m: float,
+    near_m: float,
+    cap: float,
+) -> int:
+    """Merge hits (n, 2) into their cells; new cells go to the clusters in `homes` (n,).
+
+    A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it.
+    Free areas nearer to a new surface than to any other follow its cluster.
+    The caller has made room for n rows and n surfaces. Returns the number of new rows.
+    """
+    fresh = 0
+    for i in range(len(xy)):
+        x, y = xy[i, 0], xy[i, 1]
+        key = cell_key(POINT, int(np.floor(x / hit_cell_m)), int(np.floor(y / hit_cell_m)))
+        row, new = find_or_add(rows.slots, rows.keys, rows.size, key, 0)
+        if new:
+            fresh += 1
+            rows.kind[row] = POINT
+            rows.geometry[row, :, 0] = x
+            rows.geometry[row, :, 1] = y
+            rows.near[row] = 0.0
+            attach(rows, clusters.head, clusters.rows, row, homes[i])
+            clusters.fresh[homes[i]] += 1
+            add_hit_moments(clusters, homes[i], x, y)
+            ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+            place, first = find_or_add(
+                surfaces.slots, surfaces.keys, surfaces.size, cell_key(SURFACE_KEY, ix, iy), 0
+            )
+            if first:
+                surfaces.row[place] = row
+                _claim_free_areas(ix, iy, row, rows, clusters, cell_m, near_m)
+        else:
+            homes[i] = rows.owner[row]
+            share = 1.0 / (min(rows.count[row], cap - 1.0) + 1.0)  # a running mean that forgets
+            rows.geometry[row, :, 0] += share * (x - rows.geometry[row, 0, 0])
+            rows.geometry[row, :, 1] += share * (y - rows.geometry[row, 0, 1])
+        touch(rows, clusters, row, 1.0, cap)
+    return fresh
+
+
+@compiled
+def _claim_free_areas(
+    ix: int, iy: int, hit: int, rows: Rows, clusters: Clusters, cell_m: float, near_m: float
+) -> None:
+    """Give the free areas around a new surface to its cluster where it is the nearest."""
+    home = rows.owner[hit]
+    reach = int(np.ceil(near_m / cell_m))
+    for dx in range(-reach, reach + 1):
+        for dy in range(-reach, reach + 1):
+            row = find(rows.slots, rows.keys, cell_key(BOX, ix + dx, iy + dy), 0)
+            if row == NONE:
+                continue
+            d = np.hypot(
+                (ix + dx + 0.5) * cell_m - rows.geometry[hit, 0, 0],
+                (iy + dy + 0.5) * cell_m - rows.geometry[hit, 0, 1],
+            )
+            if d >= near_m or d >= rows.near[row]:
+                continue
+            rows.near[row] = d
+            if rows.owner[row] != home:
+                clusters.fresh[rows.owner[row]] += 1
+                clusters.fresh[home] += 1
+                detach(rows, clusters.head, clusters.rows, row)
+                attach(rows, clusters.head, clusters.rows, row, home)
+
+
+@compiled
+def _nearest_hit(
+    ix: int, iy: int, rows: Rows, surfaces: Places, cell_m: float, near_m: float
+) -> tuple[int, float]:
+    """Row of the nearest hit within `near_m` of the centre of a cell, or NONE, and its distance."""
+    best, nearest = NONE, near_m
+    reach = int(np.ceil(near_m / cell_m))
+    cx, cy = (ix + 0.5) * cell_m, (iy + 0.5) * cell_m
+    for dx in range(-reach, reach + 1):
+        for dy in range(-reach, reach + 1):
+            place = find(surfaces.slots, surfaces.keys, cell_key(SURFACE_KEY, ix + dx, iy + dy), 0)
+            if place != NONE:
+                hit = surfaces.row[place]
+                d = np.hypot(cx - rows.geometry[hit, 0, 0], cy - rows.geometry[hit, 0, 1])
+                if d < nearest:
+                    best, nearest = hit, d
+    return best, (nearest if best != NONE else np.inf)
+
+
+@compiled
+def _free_area(
+    ix: int,
+    iy: int,
+    share: float,
+    home: int,
+    rows: Rows,
+    surfaces: Places,
+    blocks: Places,
+    clusters: Clusters,
+    cell_m: float,
+    near_m: float,
+    cap: float,
+) -> int:
+    """Count `share` of a traversal in cell (ix, iy); 1 if the cell is new."""
+    row, new = find_or_add(rows.slots, rows.keys, rows.size, cell_key(BOX, ix, iy), 0)
+    if new:
+        rows.kind[row] = BOX
+        rows.geometry[row, 0, 0] = ix * cell_m
+        rows.geometry[row, 0, 1] = iy * cell_m
+        rows.geometry[row, 1, 0] = (ix + 1) * cell_m
+        rows.geometry[row, 1, 1] = (iy + 1) * cell_m
+        hit, rows.near[row] = _nearest_hit(ix, iy, rows, surfaces, cell_m, near_m)
+        if hit != NONE:
+            home = rows.owner[hit]
+        else:
+            key = cell_key(
+                BLOCK_KEY,
+                int(np.floor(ix / BLOCK_CELLS)),
+                int(np.floor(iy / BLOCK_CELLS)),
+            )
+            block, first = find_or_add(blocks.slots, blocks.keys, blocks.size, key, 0)
+            if first:
+                blocks.row[block] = row
+            else:
+                home = rows.owner[blocks.row[block]]
+        attach(rows, clusters.head, clusters.rows, row, home)
+        clusters.fresh[home] += 1
+    touch(rows, clusters, row, share, cap)
+    return 1 if new else 0
+
+
+@compiled
+def absorb_free_areas(
+    start: int,
+    origin: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    free_m: NDArray[np.float64],
+    homes: NDArray[np.int32],
+    rows: Rows,
+    surfaces: Places,
+    blocks: Places,
+    clusters: Clusters,
+    cell_m: float,
+    near_m: float,
+    cap: float,
+) -> tuple[int, int]:
+    """Count the free part of beams in the cells that they cross, by length.
+
+    Cell walking after Amanatides & Woo, "A fast voxel traversal algorithm" (1987).
+
+    Args:
+        start: the beam to begin with.
+        origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
+        homes: (n,) cluster of each beam.
+
+    Returns:
+        The first beam that there was no room for (n when done), and the number of new rows.
+    """
+    fresh = 0
+    for b in range(start, len(free_m)):
+        length = free_m[b]
+        if not length > 0.0:
+            continue
+        worst = int(2.0 * length / cell_m) + 4
+        if rows.size[0] + worst > len(rows.keys) or blocks.size[0] + worst > len(blocks.keys):
+            return b, fresh
+        x, y, ux, uy = origin[0], origin[1], direction[b, 0], direction[b, 1]
+        ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+        sx, sy = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
+        next_x = ((ix + (ux > 0.0)) * cell_m - x) / ux if ux != 0.0 else np.inf
+        next_y = ((iy + (uy > 0.0)) * cell_m - y) / uy if uy != 0.0 else np.inf
+        step_x = cell_m / abs(ux) if ux != 0.0 else np.inf
+        step_y = cell_m / abs(uy) if uy != 0.0 else np.inf
+        t = 0.0
+        while t < length:
+            leave = min(next_x, next_y, length)
+            if leave > t:
+                fresh += _free_area(
+                    ix, iy, (leave - t) / cell_m, homes[b],
+                    rows, surfaces, blocks, clusters, cell_m, near_m, cap,
+                )  # fmt: skip
+            t = max(t, leave)
+            if next_x <= next_y:
+                ix += sx
+                next_x += step_x
+            else:
+                iy += sy
+                next_y += step_y
+    return len(free_m), fresh
+
+
+@compiled
+def absorb_free_segments(
+    start: int,
+    origin: NDArray[np.float64],
+    direction: NDArray[np.float64],
+    free_m: NDArray[np.float64],
+    homes: NDArray[np.int32],
+    rows: Rows,
+    clusters: Clusters,
+    segment_m: float,
+    end_cell_m: float,
+    cap: float,
+) -> tuple[int, int]:
+    """Cut the free part of beams into segments and merge those with the same pair of end cells.
+
+    A beam's segments belong to the beam's cluster; one that is known stays with its cluster.
+    Arguments and result as `absorb_free_areas`; `segment_m` is the longest segment.
+    """
+    fresh = 0
+    for b in range(start, len(free_m)):
+        length = free_m[b]
+        if not length > 0.0:
+            continue
+        pieces = int(np.ceil(length / segment_m))
+        if rows.size[0] + pieces > len(rows.keys):
+            return b, fresh
+        for p in range(pieces):
+            t0, t1 = length * p / pieces, length * (p + 1) / pieces
+            ax, ay = origin[0] + t0 * direction[b, 0], origin[1] + t0 * direction[b, 1]
+            bx, by = origin[0] + t1 * direction[b, 0], origin[1] + t1 * direction[b, 1]
+            key_a = cell_key(
+                SEGMENT, int(np.floor(ax / end_cell_m)), int(np.floor(ay / end_cell_m))
+            )
+            key_b = cell_key(
+                SEGMENT, int(np.floor(bx / end_cell_m)), int(np.floor(by / end_cell_m))
+            )
+            if key_b < key_a:  # the same segment, seen from its other end
+                key_a, key_b = key_b, key_a
+                ax, ay, bx, by = bx, by, ax, ay
+            row, new = find_or_add(rows.slots, rows.keys, rows.size, key_a, key_b)
+            if new:
+                fresh += 1
+                rows.kind[row] = SEGMENT
+                rows.geometry[row, 0, 0] = ax
+                rows.geometry[row, 0, 1] = ay
+                rows.geometry[row, 1, 0] = bx
+                rows.geometry[row, 1, 1] = by
+                rows.near[row] = np.inf
+                attach(rows, clusters.head, clusters.rows, row, homes[b])
+                clusters.fresh[homes[b]] += 1
+            else:
+                share = 1.0 / (min(rows.count[row], cap - 1.0) + 1.0)
+                rows.geometry[row, 0, 0] += share * (ax - rows.geometry[row, 0, 0])
+                rows.geometry[row, 0, 1] += share * (ay - rows.geometry[row, 0, 1])
+                rows.geometry[row, 1, 0] += share * (bx - rows.geometry[row, 1, 0])
+                rows.geometry[row, 1, 1] += share * (by - rows.geometry[row, 1, 1])
+            touch(rows, clusters, row, (t1 - t0) / segment_m, cap)
+    return len(free_m), fresh

@@ -1,0 +1,242 @@
+"""Clusters on the map: which cluster a run of hits belongs to, and splitting those that outgrow.
+
+A cluster is known here by its number, its list of rows and the moments of its hits. Numbers are
+never used twice, so a result trained for a cluster that is gone can be told apart.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.jit import compiled
+from gpom_core.lines import principal_axis
+from gpom_core.rows import NONE, Places, Rows, attach, cell_key, detach, find
+
+MAX_CANDIDATES = 16  # clusters that one run can touch; more are not looked at
+FEW_HITS = 3  # a run this short has no direction: it joins what is near
+LENGTH_OF_VARIANCE = 12.0  # a uniform segment of length L has variance L²/12 along itself
+
+
+class Clusters(NamedTuple):
+    """Struct of arrays; `size[0]` clusters were ever made.
+
+    Attributes:
+        head, rows: (c,) first row of the list and its length.
+        origin: (c, 2) first hit, metres.
+        moments: (c, 6) of the hits' cells relative to `origin`: n, sx, sy, sxx, sxy, syy.
+        gain: (c,) how much the evidence grew since the last training, in relative counts.
+        fresh: (c,) rows that are new since the last training.
+        revision: (c,) grows with every change of evidence that counts.
+        size: (1,).
+    """
+
+    head: NDArray[np.int32]
+    rows: NDArray[np.int32]
+    origin: NDArray[np.float64]
+    moments: NDArray[np.float64]
+    gain: NDArray[np.float64]
+    fresh: NDArray[np.int32]
+    revision: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+
+def new_clusters(capacity: int = 256) -> Clusters:
+    """No clusters, with room for `capacity`."""
+    return Clusters(
+        head=np.full(capacity, NONE, np.int32),
+        rows=np.zeros(capacity, np.int32),
+        origin=np.zeros((capacity, 2)),
+        moments=np.zeros((capacity, 6)),
+        gain=np.zeros(capacity),
+        fresh=np.zeros(capacity, np.int32),
+        revision=np.zeros(capacity, np.int64),
+        size=np.zeros(1, np.int64),
+    )
+
+
+def with_room(clusters: Clusters, extra: int) -> Clusters:
+    """`clusters`, or a grown copy with room for `extra` more."""
+    used, capacity = int(clusters.size[0]), len(clusters.head)
+    if used + extra <= capacity:
+        return clusters
+    grown = new_clusters(max(2 * capacity, used + extra))
+    for name in clusters._fields:
+        getattr(grown, name)[:used] = getattr(clusters, name)[:used]
+    grown.size[0] = used
+    return grown
+
+
+@compiled
+def add_cluster(clusters: Clusters, x: float, y: float) -> int:
+    """A new cluster whose first hit is (x, y). The caller has made room."""
+    c = clusters.size[0]
+    clusters.size[0] = c + 1
+    clusters.origin[c, 0] = x
+    clusters.origin[c, 1] = y
+    return c
+
+
+@compiled
+def add_hit_moments(clusters: Clusters, c: int, x: float, y: float) -> None:
+    """Count a hit cell at (x, y) in the line of cluster `c`."""
+    dx, dy = x - clusters.origin[c, 0], y - clusters.origin[c, 1]
+    m = clusters.moments[c]
+    m[0] += 1.0
+    m[1] += dx
+    m[2] += dy
+    m[3] += dx * dx
+    m[4] += dx * dy
+    m[5] += dy * dy
+
+
+@compiled
+def touch(rows: Rows, clusters: Clusters, row: int, added: float, cap: float) -> None:
+    """Merge `added` more observations into a row and note what its cluster gained."""
+    c, count = rows.owner[row], rows.count[row]
+    if count >= cap:
+        return
+    clusters.gain[c] += added / (count + 1.0)
+    rows.count[row] = min(count + added, cap)
+
+
+@compiled
+def associate(
+    xy: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    rows: Rows,
+    surfaces: Places,
+    clusters: Clusters,
+    cell_m: float,
+    tolerance_m: float,
+) -> NDArray[np.int32]:
+    """Cluster of every hit of a scan.
+
+    Each run asks the surfaces in and around its hits' cells which cluster is at home there. The
+    cluster with most votes takes the run if the run lies on its line; a run that finds nobody
+    founds a cluster. The caller has made room for one cluster per run.
+
+    Args:
+        xy: (n, 2) hits. starts: from `track_lines`. surfaces: cells with a hit.
+
+    Returns:
+        (n,) cluster numbers.
+    """
+    out = np.empty(len(xy), np.int32)
+    names = np.empty(MAX_CANDIDATES, np.int32)
+    votes = np.empty(MAX_CANDIDATES, np.float64)
+    run = 0
+    while starts[run] < len(xy):
+        first, end = starts[run], starts[run + 1]
+        few = end - first <= FEW_HITS
+        found = _vote(xy[first:end], rows, surfaces, cell_m, 3 if few else 1, names, votes)
+        chosen = NONE
+        for _ in range(found):
+            best = np.argmax(votes[:found])
+            if votes[best] <= 0.0:
+                break
+            if few or _on_line(xy[first:end], clusters, names[best], tolerance_m):
+                chosen = names[best]
+                break
+            votes[best] = 0.0
+        if chosen == NONE:
+            chosen = add_cluster(clusters, xy[first, 0], xy[first, 1])
+        out[first:end] = chosen
+        run += 1
+    return out
+
+
+@compiled
+def _vote(
+    xy: Any, rows: Rows, surfaces: Places, cell_m: float, reach: int, names: Any, votes: Any
+) -> int:
+    """Fill `names` and `votes` with the clusters around the hits; how many were found."""
+    found = 0
+    for i in range(len(xy)):
+        ix, iy = int(np.floor(xy[i, 0] / cell_m)), int(np.floor(xy[i, 1] / cell_m))
+        for dx in range(-reach, reach + 1):
+            for dy in range(-reach, reach + 1):
+                place = find(surfaces.slots, surfaces.keys, cell_key(0, ix + dx, iy + dy), 0)
+                if place == NONE:
+                    continue
+                owner = rows.owner[surfaces.row[place]]
+                weight = 1.0 / (1.0 + dx * dx + dy * dy)
+                k = 0
+                while k < found and names[k] != owner:
+                    k += 1
+                if k == found:
+                    if found == len(names):
+                        continue
+                    names[k], votes[k] = owner, 0.0
+                    found += 1
+                votes[k] += weight
+    return found
+
+
+@compiled
+def _on_line(xy: Any, clusters: Clusters, c: int, tolerance_m: float) -> bool:
+    """Whether the points lie on the line of cluster `c`, root mean square."""
+    m = clusters.moments[c].copy()
+    ox, oy = clusters.origin[c, 0], clusters.origin[c, 1]
+    young = m[0] <= FEW_HITS
+    if young:  # no line of its own yet: judge both together
+        for i in range(len(xy)):
+            x, y = xy[i, 0] - ox, xy[i, 1] - oy
+            m += np.array([1.0, x, y, x * x, x * y, y * y])
+    cx, cy, tx, ty, along, across = principal_axis(m)
+    if young or along < 4.0 * tolerance_m * tolerance_m:
+        return across <= tolerance_m * tolerance_m
+    total = 0.0
+    for i in range(len(xy)):
+        off = (xy[i, 1] - oy - cy) * tx - (xy[i, 0] - ox - cx) * ty
+        total += off * off
+    return total <= tolerance_m * tolerance_m * len(xy)
+
+
+@compiled
+def length_m(clusters: Clusters, c: int) -> float:
+    """Length of the cluster's line, from the spread of its hits."""
+    if clusters.moments[c, 0] < 2.0:
+        return 0.0
+    return np.sqrt(LENGTH_OF_VARIANCE * principal_axis(clusters.moments[c])[4])
+
+
+@compiled
+def split(rows: Rows, clusters: Clusters, c: int, by_hits: bool) -> int:
+    """Halve cluster `c` across its longest axis; the number of the new cluster, or NONE.
+
+    With `by_hits` the axis and the cut are those of the hits' line, else those of all rows.
+    Both halves keep their evidence; the caller marks them dirty and has made room for one more.
+    """
+    m = np.zeros(6)
+    ox, oy = clusters.origin[c, 0], clusters.origin[c, 1]
+    row = clusters.head[c]
+    while row != NONE:
+        if not by_hits or rows.kind[row] == 0:
+            x = 0.5 * (rows.geometry[row, 0, 0] + rows.geometry[row, 1, 0]) - ox
+            y = 0.5 * (rows.geometry[row, 0, 1] + rows.geometry[row, 1, 1]) - oy
+            m += np.array([1.0, x, y, x * x, x * y, y * y])
+        row = rows.after[row]
+    if m[0] < 2.0:
+        return NONE
+    cx, cy, tx, ty, along, _ = principal_axis(m)
+    if along <= 0.0:
+        return NONE
+    new = add_cluster(clusters, ox + cx, oy + cy)
+    clusters.moments[c, :] = 0.0
+    row = clusters.head[c]
+    while row != NONE:
+        after = rows.after[row]
+        x = 0.5 * (rows.geometry[row, 0, 0] + rows.geometry[row, 1, 0])
+        y = 0.5 * (rows.geometry[row, 0, 1] + rows.geometry[row, 1, 1])
+        home = c
+        if (x - ox - cx) * tx + (y - oy - cy) * ty > 0.0:
+            home = new
+            detach(rows, clusters.head, clusters.rows, row)
+            attach(rows, clusters.head, clusters.rows, row, new)
+        if rows.kind[row] == 0:
+            add_hit_moments(clusters, home, x, y)
+        row = after
+    return new

@@ -1,0 +1,56 @@
+"""Settings of the map. Units are in the names; unknown keys are refused."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+
+class MapConfig(BaseModel):
+    """Everything that shapes the map. `MapConfig()` is a good map of a building.
+
+    Raises:
+        pydantic.ValidationError: a value is out of range or a key is unknown.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    # Evidence
+    free_evidence: Literal["areas", "segments"] = "areas"
+    cell_m: float = Field(0.1, gt=0.01, le=1.0, description="edge of a free area")
+    hit_cell_m: float = Field(0.05, gt=0.005, le=1.0, description="hits closer than this merge")
+    segment_m: float = Field(0.5, gt=0.05, le=2.0, description="longest free segment")
+    coarse_levels: int = Field(3, ge=0, le=6, description="free areas merge up to cell_m * 2^this")
+    coarsen_from_m: float = Field(0.2, ge=0.0, description="distance to a hit where they start to")
+    hit_margin_m: float = Field(0.1, ge=0.0, le=1.0, description="not called free before a hit")
+    max_range_m: float = Field(30.0, gt=0.0, le=300.0, description="beams are cut here")
+    hit_noise_std: float = Field(0.3, gt=0.0, description="of one hit, in units of the target")
+    free_noise_std: float = Field(1.5, gt=0.0, description="of one traversal")
+    hit_cap: float = Field(100.0, ge=1.0, description="evidence of a place never counts more")
+    free_cap: float = Field(100.0, ge=1.0)
+
+    # Clusters
+    line_tolerance_m: float = Field(0.1, gt=0.0, description="distance of a hit from its line")
+    line_gap_m: float = Field(0.3, gt=0.0, description="longest gap between hits of a line")
+    max_length_m: float = Field(3.0, gt=0.1, description="a longer cluster is split")
+    max_observations: int = Field(400, ge=16, description="a larger expert is split")
+    retrain_gain: float = Field(
+        0.1, gt=0.0, description="relative growth of known evidence that makes an expert dirty"
+    )
+    near_surface_m: float = Field(0.4, ge=0.0, description="free areas this near follow the hit")
+
+    # Experts
+    length_scale_m: float = Field(0.2, gt=0.01)
+    signal_std: float = Field(1.0, gt=0.0)
+
+    # Answers
+    known_variance_ratio: float = Field(
+        0.8, gt=0.0, lt=1.0, description="below this share of the prior variance a point is known"
+    )
+
+    @model_validator(mode="after")
+    def _cells_fit(self) -> MapConfig:
+        if self.hit_cell_m > self.cell_m:
+            raise ValueError("hit_cell_m must not exceed cell_m: a hit belongs to one free area")
+        return self

@@ -1,0 +1,87 @@
+"""The expert: the Gaussian process of one cluster (eq. 8-10 of Kim & Kim, Sensors 2022)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core import lapack
+from gpom_core.errors import GpomError
+from gpom_core.kernels import gram
+from gpom_core.observations import Observations
+
+
+class TrainingError(GpomError):
+    """An expert could not be trained; its covariance is not positive definite."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hyperparameters:
+    """Of one expert's kernel: length scale in metres, standard deviation of the signal."""
+
+    length_scale_m: float
+    signal_std: float
+
+    def __post_init__(self) -> None:
+        for name in ("length_scale_m", "signal_std"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value}, expected a positive number")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Expert:
+    """A trained expert over n observations; immutable.
+
+    Attributes:
+        weights: (n,) alpha = K^-1 y, where K holds the noise.
+        precision: (n, n) K^-1.
+        log_likelihood: log marginal likelihood of the targets.
+    """
+
+    observations: Observations
+    hyperparameters: Hyperparameters
+    weights: NDArray[np.float64]
+    precision: NDArray[np.float64]
+    log_likelihood: float
+
+    def leave_one_out(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Latent mean and variance at each observation when it is left out, (n,) each.
+
+        DESIGN's m = y - [K^-1 y] / [K^-1]_ii and v = 1 / [K^-1]_ii, the observation's own noise
+        taken off the variance (Rasmussen & Williams, section 5.4.2).
+        """
+        diagonal = np.diagonal(self.precision)
+        mean = self.observations.targets - self.weights / diagonal
+        variance = 1.0 / diagonal - self.observations.noise_variance
+        return mean, np.clip(variance, 1e-9, self.hyperparameters.signal_std**2)
+
+
+def train(observations: Observations, hyperparameters: Hyperparameters) -> Expert:
+    """Fit an expert to at least one observation.
+
+    Raises:
+        TrainingError: the covariance is not positive definite, which finite evidence cannot cause.
+    """
+    if len(observations) == 0:
+        raise TrainingError("an expert needs at least one observation, got none")
+    k = gram(observations.kinds, observations.geometry, hyperparameters.length_scale_m)
+    k *= hyperparameters.signal_std**2
+    k[np.diag_indices_from(k)] += observations.noise_variance
+    log_determinant = lapack.inverse_spd(k, lapack.ADDRESSES)
+    if not np.isfinite(log_determinant):
+        raise TrainingError(
+            f"the covariance of {len(observations)} observations is not positive definite; "
+            "check that their geometry and noise are finite"
+        )
+    weights = k @ observations.targets
+    fit = float(observations.targets @ weights)
+    return Expert(
+        observations=observations,
+        hyperparameters=hyperparameters,
+        weights=weights,
+        precision=k,
+        log_likelihood=-0.5 * (fit + log_determinant + len(k) * np.log(2.0 * np.pi)),
+    )

@@ -1,0 +1,67 @@
+"""LAPACK from compiled code, without the interpreter lock and cacheable.
+
+scipy's Python wrappers hold the lock while LAPACK runs (measured: two threads take twice as long),
+and numba's own `cholesky` cannot invert from the factor. Addresses come from scipy's cython_lapack
+and are passed as arguments, so that the compiled callers can still be cached.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import get_cython_function_address, intrinsic
+
+_POTRF: int = get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf")
+_POTRI: int = get_cython_function_address("scipy.linalg.cython_lapack", "dpotri")
+ADDRESSES = np.array([_POTRF, _POTRI], np.int64)
+
+_LOWER = ord("L")
+
+
+@intrinsic
+def _call5(typing_context: Any, address: Any, a: Any, b: Any, c: Any, d: Any, e: Any) -> Any:
+    """Call a C function of five pointers that returns nothing."""
+    signature = types.void(*([types.int64] * 6))
+
+    def generate(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
+        word = ir.IntType(64)
+        kind = ir.FunctionType(ir.VoidType(), [word] * 5)
+        function = builder.inttoptr(args[0], kind.as_pointer())
+        builder.call(function, args[1:])
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+def inverse_spd(k: Any, addresses: Any) -> float:
+    """Replace a symmetric positive definite matrix (n, n) by its inverse.
+
+    Args:
+        k: C-ordered float64, only its upper triangle is read.
+        addresses: `ADDRESSES`.
+
+    Returns:
+        The log determinant, or NaN when `k` is not positive definite.
+    """
+    n = len(k)
+    uplo = np.array([_LOWER], np.uint8)  # C order: the upper triangle is LAPACK's lower one
+    size = np.array([n], np.int32)
+    info = np.zeros(1, np.int32)
+    pointers = (uplo.ctypes.data, size.ctypes.data, k.ctypes.data, info.ctypes.data)
+    _call5(addresses[0], pointers[0], pointers[1], pointers[2], pointers[1], pointers[3])
+    if info[0] != 0:
+        return np.nan
+    log_determinant = 0.0
+    for i in range(n):
+        log_determinant += 2.0 * np.log(k[i, i])
+    _call5(addresses[1], pointers[0], pointers[1], pointers[2], pointers[1], pointers[3])
+    for i in range(n):
+        for j in range(i):
+            k[i, j] = k[j, i]
+    # Reading the arrays here keeps them alive while LAPACK holds their addresses.
+    sound = info[0] == 0 and size[0] == n and uplo[0] == _LOWER
+    return log_determinant if sound else np.nan

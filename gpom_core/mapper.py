@@ -1,0 +1,183 @@
+"""The mapper: scans in, dirty experts out to training, trained experts in, snapshots out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core import calibration
+from gpom_core.config import MapConfig
+from gpom_core.evidence import Evidence, UpdateReport
+from gpom_core.expert import Expert, Hyperparameters, train
+from gpom_core.observations import Observations
+from gpom_core.reach import reach_of
+from gpom_core.scan import Scan
+from gpom_core.snapshot import CUTOFF_SCALES, TILE_M, Bounds, Member, Snapshot
+
+__all__ = ["Mapper", "TrainedExpert", "TrainingJob", "UpdateReport"]
+
+TrainedExpert = Member
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingJob:
+    """One dirty expert's evidence, taken; `run` is pure and may run in any thread."""
+
+    cluster_id: int
+    revision: int
+    observations: Observations
+    hyperparameters: Hyperparameters
+    line: NDArray[np.float64]
+
+    def run(self) -> TrainedExpert:
+        """Train the expert.
+
+        Raises:
+            TrainingError: the covariance is not positive definite.
+        """
+        expert: Expert = train(self.observations, self.hyperparameters)
+        geometry = self.observations.geometry
+        low, high = geometry.min(axis=(0, 1)), geometry.max(axis=(0, 1))
+        bounds: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+        cutoff = CUTOFF_SCALES * self.hyperparameters.length_scale_m
+        return TrainedExpert(
+            cluster_id=self.cluster_id,
+            revision=self.revision,
+            expert=expert,
+            reach=reach_of(geometry, TILE_M, cutoff),
+            line=self.line,
+            bounds=bounds,
+        )
+
+
+class Mapper:
+    """Grows a map from scans. One thread owns it; its snapshots may be read from any."""
+
+    def __init__(self, config: MapConfig | None = None) -> None:
+        self.config = config or MapConfig()
+        self._evidence = Evidence(self.config)
+        self._training: set[int] = set()
+        self._gone: set[int] = set()
+        self._scans = 0
+        self._snapshot = Snapshot(
+            prior_variance=self.config.signal_std**2,
+            known_variance_ratio=self.config.known_variance_ratio,
+        )
+
+    @property
+    def scan_count(self) -> int:
+        """Scans integrated."""
+        return self._scans
+
+    @property
+    def observation_count(self) -> int:
+        """Rows of merged evidence."""
+        return self._evidence.observation_count
+
+    @property
+    def expert_count(self) -> int:
+        """Clusters that own evidence."""
+        return int(np.count_nonzero(self._evidence.clusters.rows))
+
+    @property
+    def dirty_count(self) -> int:
+        """Experts whose evidence changed since it was last trained, those in training included."""
+        return len(self._training.union(self._evidence.dirty().tolist()))
+
+    def snapshot(self) -> Snapshot:
+        """The latest version of the map."""
+        return self._snapshot
+
+    def update(self, scan: Scan) -> UpdateReport:
+        """Integrate one scan's evidence and mark the experts that it changes as dirty.
+
+        Raises:
+            InvalidScanError: the scan cannot be placed on the map; nothing was changed.
+        """
+        report = self._evidence.add(scan)
+        self._scans += 1
+        return report
+
+    def take_jobs(self, limit: int) -> list[TrainingJob]:
+        """At most `limit` dirty experts to train, most changed first.
+
+        They are clean from here on; give each job's result to `swap`, or the job to `fail`.
+        """
+        jobs: list[TrainingJob] = []
+        waiting = [c for c in self._evidence.dirty().tolist() if c not in self._training]
+        waiting.reverse()
+        while waiting and len(jobs) < limit:
+            cluster = waiting.pop()
+            revision, observations = self._evidence.take(cluster)
+            if len(observations) == 0:
+                self._gone.add(cluster)
+                continue
+            if len(observations) > self.config.max_observations:
+                halves = self._evidence.split(cluster, by_hits=False)
+                if halves:
+                    waiting.extend(halves)
+                    continue
+            self._training.add(cluster)
+            jobs.append(
+                TrainingJob(
+                    cluster_id=cluster,
+                    revision=revision,
+                    observations=observations,
+                    hyperparameters=Hyperparameters(
+                        self.config.length_scale_m, self.config.signal_std
+                    ),
+                    line=self._evidence.line(cluster),
+                )
+            )
+        return jobs
+
+    def swap(self, trained: Sequence[TrainedExpert]) -> Snapshot:
+        """Put trained experts into a new version of the map.
+
+        A result older than what the map holds is discarded.
+        """
+        fresh = []
+        for member in trained:
+            self._training.discard(member.cluster_id)
+            old = self._snapshot.members.get(member.cluster_id)
+            if old is None or old.revision < member.revision:
+                fresh.append(member)
+        gone, self._gone = self._gone, set()
+        if fresh or gone:
+            self._snapshot = self._snapshot.swapped(fresh, gone)
+        return self._snapshot
+
+    def fail(self, job: TrainingJob) -> None:
+        """A job did not end well: its expert is dirty again."""
+        self._training.discard(job.cluster_id)
+        self._evidence.clusters.fresh[job.cluster_id] += 1
+
+    def train(self, executor: Executor | None = None) -> Snapshot:
+        """Train all dirty experts and swap them in; the new version of the map.
+
+        Raises:
+            TrainingError: an expert could not be trained; the others are.
+        """
+        jobs = self.take_jobs(2**31)
+        run = map if executor is None else executor.map
+        trained = list(run(TrainingJob.run, jobs))
+        self._snapshot = self.swap(trained)
+        return self._snapshot
+
+
+def recalibrated(snapshot: Snapshot) -> calibration.Calibration:
+    """The snapshot's calibration fitted anew by leave-one-out."""
+    mean, variance, target, count = [], [], [], []
+    for member in snapshot.members.values():
+        m, v = member.expert.leave_one_out()
+        mean.append(m)
+        variance.append(v)
+        target.append(member.expert.observations.targets)
+        count.append(member.expert.observations.count)
+    return calibration.fit(
+        np.concatenate(mean), np.concatenate(variance), np.concatenate(target) > 0,
+    )

@@ -1,0 +1,161 @@
+"""Observations of one expert: what was seen where, merged, as frozen arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.beams import BOX, POINT, SEGMENT
+from gpom_core.clusters import Clusters
+from gpom_core.jit import compiled
+from gpom_core.rows import COORDINATE_BITS, NONE, Rows
+
+OCCUPIED, FREE = 1.0, -1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observations:
+    """What one expert is trained on; n observations in d dimensions.
+
+    Attributes:
+        kinds: (n,) uint8, see `gpom_core.kernels.Kind`.
+        geometry: (n, 2, d) metres: point twice, segment's ends, or box's low and high corner.
+        targets: (n,) +1 for hits, -1 for what is free.
+        noise_variance: (n,) of the merged target.
+        count: (n,) how many observations were merged.
+    """
+
+    kinds: NDArray[np.uint8]
+    geometry: NDArray[np.float64]
+    targets: NDArray[np.float64]
+    noise_variance: NDArray[np.float64]
+    count: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.kinds)
+        for name in ("targets", "noise_variance", "count"):
+            if getattr(self, name).shape != (n,):
+                raise ValueError(
+                    f"{name} has shape {getattr(self, name).shape}, expected ({n},) like kinds"
+                )
+        if self.geometry.ndim != 3 or self.geometry.shape[:2] != (n, 2):
+            raise ValueError(f"geometry has shape {self.geometry.shape}, expected ({n}, 2, d)")
+
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+
+@compiled
+def gather(rows: Rows, clusters: Clusters, c: int) -> NDArray[np.int64]:
+    """Rows of cluster `c` in order of kind and key, whatever order they came in."""
+    out = np.empty(clusters.rows[c], np.int64)
+    row = clusters.head[c]
+    for i in range(len(out)):
+        out[i] = row
+        row = rows.after[row]
+    first = np.argsort(rows.keys[out, 1], kind="mergesort")
+    out = out[first]
+    return out[np.argsort(rows.keys[out, 0], kind="mergesort")]
+
+
+@compiled
+def merge_areas(
+    key: NDArray[np.int64],
+    count: NDArray[np.float64],
+    near: NDArray[np.float64],
+    cell_m: float,
+    levels: int,
+    coarsen_from_m: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Merge free areas four by four into coarser ones where no surface is near.
+
+    A square of edge e is merged when its four quarters are all known and its nearest hit is
+    farther than `coarsen_from_m` + e, so that fine areas remain where the map bends.
+
+    Args:
+        key: (n,) lattice keys. count: (n,). near: (n,) distance to the nearest hit.
+
+    Returns:
+        geometry (m, 2, 2) and count (m,), the sum of what was merged.
+    """
+    n = len(key)
+    offset = 1 << (COORDINATE_BITS - 1)
+    mask = (1 << COORDINATE_BITS) - 1
+    ix = ((key >> COORDINATE_BITS) & mask) - offset
+    iy = (key & mask) - offset
+    count, near = count.copy(), near.copy()
+    geometry = np.empty((n, 2, 2))
+    total = np.empty(n)
+    done = 0
+    for level in range(levels + 1):
+        edge = cell_m * 2**level
+        order = np.argsort(((ix >> 1) << 32) + (iy >> 1), kind="mergesort")
+        kept = 0
+        i = 0
+        while i < len(order):
+            j = i + 1
+            nearest, summed = near[order[i]], count[order[i]]
+            px, py = ix[order[i]] >> 1, iy[order[i]] >> 1
+            while j < len(order) and ix[order[j]] >> 1 == px and iy[order[j]] >> 1 == py:
+                nearest = min(nearest, near[order[j]])
+                summed += count[order[j]]
+                j += 1
+            if level < levels and j - i == 4 and nearest > coarsen_from_m + edge:
+                # The parent takes the place of a child that has been read already.
+                first = order[i]
+                near[first], count[first] = nearest, summed
+                order[kept] = first
+                kept += 1
+            else:
+                for k in range(i, j):
+                    o = order[k]
+                    geometry[done, 0, 0] = ix[o] * edge
+                    geometry[done, 0, 1] = iy[o] * edge
+                    geometry[done, 1, 0] = (ix[o] + 1) * edge
+                    geometry[done, 1, 1] = (iy[o] + 1) * edge
+                    total[done] = count[o]
+                    done += 1
+            i = j
+        parents = order[:kept]
+        ix, iy = ix[parents] >> 1, iy[parents] >> 1
+        count, near = count[parents], near[parents]
+        if kept == 0:
+            break
+    return geometry[:done], total[:done]
+
+
+def observations_of(
+    rows: Rows,
+    clusters: Clusters,
+    cluster: int,
+    *,
+    cell_m: float,
+    levels: int,
+    coarsen_from_m: float,
+    hit_noise_std: float,
+    free_noise_std: float,
+) -> Observations:
+    """The observations of one cluster, free areas merged where no surface is near."""
+    mine = gather(rows, clusters, cluster)
+    kind = rows.kind[mine]
+    areas, others = mine[kind == BOX], mine[kind != BOX]
+    box_geometry, box_count = merge_areas(
+        rows.keys[areas, 0], rows.count[areas], rows.near[areas], cell_m, levels, coarsen_from_m
+    )
+    kinds = np.concatenate([rows.kind[others], np.full(len(box_count), BOX, np.uint8)])
+    count = np.concatenate([rows.count[others], box_count])
+    hit = kinds == POINT
+    return Observations(
+        kinds=kinds,
+        geometry=np.concatenate([rows.geometry[others], box_geometry]),
+        targets=np.where(hit, OCCUPIED, FREE),
+        noise_variance=np.where(hit, hit_noise_std**2, free_noise_std**2)
+        / np.maximum(count, 1e-3),
+        count=count,
+    )
+
+
+__all__ = ["BOX", "NONE", "POINT", "SEGMENT", "Observations", "gather", "observations_of"]

@@ -1,0 +1,182 @@
+"""The merged evidence of the whole map: one row per place, in growing arrays with a hash index.
+
+A row is an observation that many beams may have made: its key says where (one lattice cell, or a
+pair of cells for a segment), its count how often. Rows know their cluster, and every cluster
+threads its rows on a doubly linked list, so that moving a row costs O(1).
+Everything here is compiled and holds no lock: one thread owns the evidence.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.jit import compiled
+
+NONE = -1
+COORDINATE_BITS = 29  # of a cell index; two of them and the kind fill an int64 key
+COORDINATE_LIMIT = 2 ** (COORDINATE_BITS - 1) - 4096
+
+
+class Rows(NamedTuple):
+    """Struct of arrays; `size[0]` rows are in use.
+
+    Attributes:
+        slots: (h,) hash table of row numbers, h a power of two.
+        keys: (r, 2) lattice keys; the second is 0 except for segments.
+        kind: (r,) kind of observation.
+        geometry: (r, 2, 2) metres in the map frame, see `gpom_core.kernels`.
+        count: (r,) how many observations were merged, capped.
+        trained: (r,) the count when the owner was last marked dirty because of this row.
+        near: (r,) distance to the nearest hit, metres; inf beyond `near_surface_m`.
+        owner: (r,) cluster number.
+        before, after: (r,) neighbours on the owner's list.
+        size: (1,) rows in use.
+    """
+
+    slots: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    geometry: NDArray[np.float64]
+    count: NDArray[np.float64]
+    trained: NDArray[np.float64]
+    near: NDArray[np.float64]
+    owner: NDArray[np.int32]
+    before: NDArray[np.int32]
+    after: NDArray[np.int32]
+    size: NDArray[np.int64]
+
+
+class Places(NamedTuple):
+    """Lattice cells and blocks that remember one row: a cell its first hit, a block its first
+    free area. What they point at says which cluster is at home there."""
+
+    slots: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    row: NDArray[np.int32]
+    size: NDArray[np.int64]
+
+
+def new_rows(capacity: int = 4096) -> Rows:
+    """Empty rows with room for `capacity`."""
+    return Rows(
+        slots=np.full(_table_size(capacity), NONE, np.int32),
+        keys=np.zeros((capacity, 2), np.int64),
+        kind=np.zeros(capacity, np.uint8),
+        geometry=np.zeros((capacity, 2, 2)),
+        count=np.zeros(capacity),
+        trained=np.zeros(capacity),
+        near=np.zeros(capacity),
+        owner=np.full(capacity, NONE, np.int32),
+        before=np.full(capacity, NONE, np.int32),
+        after=np.full(capacity, NONE, np.int32),
+        size=np.zeros(1, np.int64),
+    )
+
+
+def new_places(capacity: int = 1024) -> Places:
+    """Empty places with room for `capacity`."""
+    return Places(
+        slots=np.full(_table_size(capacity), NONE, np.int32),
+        keys=np.zeros((capacity, 2), np.int64),
+        row=np.full(capacity, NONE, np.int32),
+        size=np.zeros(1, np.int64),
+    )
+
+
+def _table_size(capacity: int) -> int:
+    return 1 << int(np.ceil(np.log2(max(capacity, 8) * 2)))
+
+
+def with_room(table: Any, extra: int) -> Any:
+    """`table` (Rows or Places) or a grown copy with room for `extra` more entries."""
+    used, capacity = int(table.size[0]), len(table.keys)
+    if used + extra <= capacity:
+        return table
+    capacity = max(2 * capacity, used + extra)
+    grown = (new_rows if isinstance(table, Rows) else new_places)(capacity)
+    for name in table._fields:
+        if name not in ("slots", "size"):
+            getattr(grown, name)[:used] = getattr(table, name)[:used]
+    grown.size[0] = used
+    _rehash(grown.slots, grown.keys, used)
+    return grown
+
+
+@compiled
+def _rehash(slots: Any, keys: Any, used: int) -> None:
+    for i in range(used):
+        slot = _slot(slots, keys, keys[i, 0], keys[i, 1])
+        slots[slot] = i
+
+
+@compiled
+def cell_key(kind: int, ix: int, iy: int) -> int:
+    """Key of lattice cell (ix, iy), |index| < COORDINATE_LIMIT."""
+    offset = 1 << (COORDINATE_BITS - 1)
+    return (kind << (2 * COORDINATE_BITS)) | ((ix + offset) << COORDINATE_BITS) | (iy + offset)
+
+
+@compiled
+def _slot(slots: Any, keys: Any, a: int, b: int) -> int:
+    """Slot of key (a, b), or the free slot where it belongs. Linear probing."""
+    mask = len(slots) - 1
+    mixed = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) ^ np.uint64(b) * np.uint64(
+        0xC2B2AE3D27D4EB4F
+    )
+    mixed ^= mixed >> np.uint64(29)
+    slot = np.int64(mixed & np.uint64(mask))
+    while True:
+        entry = slots[slot]
+        if entry == NONE or (keys[entry, 0] == a and keys[entry, 1] == b):
+            return slot
+        slot = (slot + 1) & mask
+
+
+@compiled
+def find(slots: Any, keys: Any, a: int, b: int) -> int:
+    """Entry with key (a, b), or NONE."""
+    return slots[_slot(slots, keys, a, b)]
+
+
+@compiled
+def find_or_add(slots: Any, keys: Any, size: Any, a: int, b: int) -> tuple[int, bool]:
+    """Entry with key (a, b) and whether it is new. The caller has made room."""
+    slot = _slot(slots, keys, a, b)
+    entry = slots[slot]
+    if entry != NONE:
+        return entry, False
+    entry = size[0]
+    size[0] = entry + 1
+    slots[slot] = entry
+    keys[entry, 0] = a
+    keys[entry, 1] = b
+    return entry, True
+
+
+@compiled
+def attach(rows: Rows, head: Any, length: Any, row: int, owner: int) -> None:
+    """Put a row that has no owner on the list of `owner`."""
+    rows.owner[row] = owner
+    rows.before[row] = NONE
+    rows.after[row] = head[owner]
+    if head[owner] != NONE:
+        rows.before[head[owner]] = row
+    head[owner] = row
+    length[owner] += 1
+
+
+@compiled
+def detach(rows: Rows, head: Any, length: Any, row: int) -> None:
+    """Take a row off its owner's list."""
+    owner, before, after = rows.owner[row], rows.before[row], rows.after[row]
+    if before == NONE:
+        head[owner] = after
+    else:
+        rows.after[before] = after
+    if after != NONE:
+        rows.before[after] = before
+    rows.owner[row] = NONE
+    length[owner] -= 1

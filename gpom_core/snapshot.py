@@ -1,0 +1,300 @@
+"""An immutable version of the map: what queries read while the next version is being trained."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from gpom_core.calibration import Calibration
+from gpom_core.committee import Fusion, prior_precision
+from gpom_core.errors import InvalidQueryError
+from gpom_core.expert import Expert
+from gpom_core.reach import TILE_BITS, TILE_OFFSET, Reach
+from gpom_core.sector import Sector, build_sector, committee_sums
+
+Bounds = tuple[float, float, float, float]
+
+TILE_M = 0.5  # of the index; smaller tiles cost memory, larger ones time (see ARCHITECTURE)
+SECTOR_TILES = 16
+SECTOR_M = TILE_M * SECTOR_TILES
+NEGLIGIBLE = 3e-4  # of the signal variance, about 4 length scales away
+CUTOFF_SCALES = 4.0
+MAX_GRID_CELLS = 200_000_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Member:
+    """An expert in the committee, with its index of evidence.
+
+    Attributes:
+        line: (2, 2) ends of the cluster's line, metres.
+        bounds: of the evidence. revision: of the evidence that it was trained on.
+    """
+
+    cluster_id: int
+    revision: int
+    expert: Expert
+    reach: Reach
+    line: NDArray[np.float64]
+    bounds: Bounds
+
+    @property
+    def addresses(self) -> tuple[int, int, int, int, int]:
+        """Addresses of the arrays that a `Sector` reads."""
+        o = self.expert.observations
+        arrays = (o.kinds, o.geometry, self.expert.weights, self.expert.precision)
+        return (*(a.ctypes.data for a in arrays), self.reach.members.ctypes.data)  # type: ignore[return-value]
+
+    @property
+    def scales(self) -> tuple[float, float]:
+        """Inverse length scale, 1/m, and signal variance."""
+        h = self.expert.hyperparameters
+        return 1.0 / h.length_scale_m, h.signal_std**2
+
+    def sectors(self) -> set[tuple[int, int]]:
+        """Indices of the sectors that the evidence reaches."""
+        x = ((self.reach.tiles >> TILE_BITS) - TILE_OFFSET) // SECTOR_TILES
+        y = ((self.reach.tiles & ((1 << TILE_BITS) - 1)) - TILE_OFFSET) // SECTOR_TILES
+        return set(zip(x.tolist(), y.tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """What the committee says at n points, (n,) each.
+
+    Attributes:
+        occupancy: probability of being occupied; 0.5 where nothing is known.
+        mean, variance: of the latent function; 0 and the prior variance where nothing is known.
+        known: the variance is clearly below the prior's.
+    """
+
+    occupancy: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    known: NDArray[np.bool_]
+
+    def reshape(self, *shape: int) -> Prediction:
+        """The same values in another shape."""
+        return Prediction(
+            self.occupancy.reshape(shape),
+            self.mean.reshape(shape),
+            self.variance.reshape(shape),
+            self.known.reshape(shape),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ExpertSummary:
+    """One expert as `/v1/experts` shows it; lengths in metres."""
+
+    cluster_id: int
+    line: tuple[tuple[float, float], tuple[float, float]]
+    observations: int
+    hits: int
+    length_scale_m: float
+    signal_std: float
+    revision: int
+
+
+def as_points(points: ArrayLike) -> NDArray[np.float64]:
+    """`points` as a finite float64 array (n, 2).
+
+    Raises:
+        InvalidQueryError: another shape, not numbers, NaN or infinite.
+    """
+    try:
+        array = np.asarray(points, np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidQueryError(f"points are not numbers: {error}") from None
+    if array.ndim == 1 and array.size == 0:
+        array = array.reshape(0, 2)
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise InvalidQueryError(f"points have shape {array.shape}, expected (n, 2)")
+    if not np.isfinite(array).all():
+        raise InvalidQueryError("points hold NaN or infinity, expected finite metres")
+    return np.ascontiguousarray(array)
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """One version of the map. Immutable; any number of threads may query it.
+
+    Attributes:
+        version: grows with every swap of experts.
+        prior_variance: of the latent function in unknown space.
+        members: cluster number to expert.
+        changed_bounds: the area that differs from the version before, None if nothing does.
+    """
+
+    version: int = 0
+    prior_variance: float = 1.0
+    known_variance_ratio: float = 0.8
+    calibration: Calibration = Calibration()
+    members: Mapping[int, Member] = field(default_factory=dict)
+    sectors: Mapping[tuple[int, int], Sector] = field(default_factory=dict)
+    changed_bounds: Bounds | None = None
+
+    @cached_property
+    def bounds(self) -> Bounds | None:
+        """xmin, ymin, xmax, ymax of all evidence, metres; None while there is none."""
+        return union(member.bounds for member in self.members.values())
+
+    def sums(
+        self, points: NDArray[np.float64], fusion: Fusion = Fusion.BCM
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The committee's precision and information at points (n, 2); the prior is included."""
+        precision = np.full(
+            len(points), prior_precision(fusion, self.prior_variance, len(self.members))
+        )
+        information = np.zeros(len(points))
+        for key, which in _by_sector(points, self.bounds).items():
+            sector = self.sectors.get(key)
+            if sector is not None:
+                committee_sums(
+                    points, which, np.array(key) * SECTOR_M, TILE_M, SECTOR_TILES,
+                    sector.addresses, sector.sizes, sector.scales, sector.starts, sector.entries,
+                    int(fusion), NEGLIGIBLE, precision, information,
+                )  # fmt: skip
+        return precision, information
+
+    def query(self, points: ArrayLike, fusion: str = "bcm") -> Prediction:
+        """Occupancy, mean and variance at points (n, 2) in metres, exactly.
+
+        Raises:
+            InvalidQueryError: wrong shape, non-finite points or an unknown fusion rule.
+        """
+        precision, information = self.sums(as_points(points), Fusion.named(fusion))
+        mean, variance = information / precision, 1.0 / precision
+        return Prediction(
+            occupancy=self.calibration.probability(mean, variance),
+            mean=mean,
+            variance=variance,
+            known=variance < self.known_variance_ratio * self.prior_variance,
+        )
+
+    def grid(self, bbox: Bounds, resolution_m: float, fusion: str = "bcm") -> Prediction:
+        """The map at the cell centres of a raster, (rows, columns), row 0 at ymin.
+
+        Args:
+            bbox: xmin, ymin, xmax, ymax, metres; a started cell counts as one.
+
+        Raises:
+            InvalidQueryError: an empty or non-finite box, a resolution of 0, too many cells.
+        """
+        rows, columns = grid_shape(bbox, resolution_m)
+        x = bbox[0] + (np.arange(columns) + 0.5) * resolution_m
+        y = bbox[1] + (np.arange(rows) + 0.5) * resolution_m
+        points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        return self.query(points, fusion).reshape(rows, columns)
+
+    def experts(self) -> list[ExpertSummary]:
+        """All experts, by cluster number."""
+        return [
+            ExpertSummary(
+                cluster_id=m.cluster_id,
+                line=((m.line[0, 0], m.line[0, 1]), (m.line[1, 0], m.line[1, 1])),
+                observations=len(m.expert.observations),
+                hits=int(np.count_nonzero(m.expert.observations.targets > 0)),
+                length_scale_m=m.expert.hyperparameters.length_scale_m,
+                signal_std=m.expert.hyperparameters.signal_std,
+                revision=m.revision,
+            )
+            for _, m in sorted(self.members.items())
+        ]
+
+    def swapped(
+        self, new: Iterable[Member], gone: Iterable[int] = (), calibration: Calibration | None = None
+    ) -> Snapshot:
+        """The next version: `new` experts in place of their old selves, `gone` ones left out."""
+        members, sectors = dict(self.members), dict(self.sectors)
+        touched: dict[tuple[int, int], dict[int, Member]] = {}
+        areas: list[Bounds] = []
+
+        def content(key: tuple[int, int]) -> dict[int, Member]:
+            if key not in touched:
+                touched[key] = dict(sectors[key].members) if key in sectors else {}
+            return touched[key]
+
+        replaced = list(new)
+        for cluster in [*gone, *(m.cluster_id for m in replaced)]:
+            old = members.pop(cluster, None)
+            if old is not None:
+                areas.append(old.bounds)
+                for key in old.sectors():
+                    content(key).pop(cluster, None)
+        for member in replaced:
+            members[member.cluster_id] = member
+            areas.append(member.bounds)
+            for key in member.sectors():
+                content(key)[member.cluster_id] = member
+        for key, inside in touched.items():
+            if inside:
+                sectors[key] = build_sector(inside, *key, SECTOR_TILES)
+            else:
+                sectors.pop(key, None)
+        return Snapshot(
+            version=self.version + 1,
+            prior_variance=self.prior_variance,
+            known_variance_ratio=self.known_variance_ratio,
+            calibration=calibration or self.calibration,
+            members=members,
+            sectors=sectors,
+            changed_bounds=union(areas),
+        )
+
+
+def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:
+    """Rows and columns of a raster over `bbox`.
+
+    Raises:
+        InvalidQueryError: as `Snapshot.grid`.
+    """
+    if len(bbox) != 4 or not np.isfinite(bbox).all() or bbox[0] >= bbox[2] or bbox[1] >= bbox[3]:
+        raise InvalidQueryError(
+            f"bbox {tuple(bbox)} must be xmin, ymin, xmax, ymax in metres with min < max"
+        )
+    if not (np.isfinite(resolution_m) and resolution_m > 0.0):
+        raise InvalidQueryError(f"resolution {resolution_m} must be a positive number of metres")
+    # A hair less than a cell is rounding, not another cell.
+    columns = np.ceil((bbox[2] - bbox[0]) / resolution_m - 1e-9)
+    rows = np.ceil((bbox[3] - bbox[1]) / resolution_m - 1e-9)
+    if rows * columns > MAX_GRID_CELLS:
+        raise InvalidQueryError(
+            f"{rows * columns:.0f} cells are more than {MAX_GRID_CELLS}; ask for a smaller box or "
+            "a coarser resolution"
+        )
+    return max(int(rows), 1), max(int(columns), 1)
+
+
+def union(areas: Iterable[Bounds]) -> Bounds | None:
+    """The smallest box around all boxes, None if there are none."""
+    corners = np.array(list(areas))
+    if len(corners) == 0:
+        return None
+    low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
+    return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _by_sector(
+    points: NDArray[np.float64], bounds: Bounds | None
+) -> dict[tuple[int, int], NDArray[np.int64]]:
+    """Numbers of the points in each sector; points no evidence can reach are left out."""
+    if bounds is None or len(points) == 0:
+        return {}
+    low, high = np.array(bounds[:2]) - SECTOR_M, np.array(bounds[2:]) + SECTOR_M
+    near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    if len(near) == 0:
+        return {}
+    index = np.floor(points[near] / SECTOR_M).astype(np.int64)
+    width = int(np.ptp(index[:, 0])) + 1
+    code = (index[:, 1] - index[:, 1].min()) * width + index[:, 0] - index[:, 0].min()
+    order = np.argsort(code, kind="stable")
+    cuts = np.flatnonzero(np.diff(code[order])) + 1
+    return {
+        (int(index[part[0], 0]), int(index[part[0], 1])): near[part]
+        for part in np.split(order, cuts)
+    }
