@@ -72,11 +72,17 @@ class Child:
         """
         code = self._process.poll()
         if code:
-            lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
-            last_words = "\n  ".join(lines[-_LAST_LINES:]) or "(it said nothing)"
-            message = f"`{self.name}` ended with exit code {code}:\n  {last_words}"
-            raise ChildFailedError(message)
+            raise ChildFailedError(self._obituary())
         return code is None
+
+    def must_run(self) -> None:
+        """Check that it still runs.
+
+        Raises:
+            ChildFailedError: it ended, well or not.
+        """
+        if not self.is_running():
+            raise ChildFailedError(self._obituary())
 
     def stop(self) -> None:
         """Ask it to end, wait, and kill it if it does not listen."""
@@ -86,6 +92,11 @@ class Child:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+
+    def _obituary(self) -> str:
+        lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+        last_words = "\n  ".join(lines[-_LAST_LINES:]) or "(it said nothing)"
+        return f"`{self.name}` ended with exit code {self._process.returncode}:\n  {last_words}"
 
 
 @contextmanager

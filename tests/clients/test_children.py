@@ -61,8 +61,11 @@ def test_a_child_that_fails_gives_its_last_words(tmp_path: Path) -> None:
 
 
 def test_a_child_that_ends_well_has_just_ended(tmp_path: Path) -> None:
-    with Child("done", [sys.executable, "-c", ""], tmp_path / "log") as child:
+    with Child("done", [sys.executable, "-c", "print('bye')"], tmp_path / "log") as child:
         wait_for_end(child)
+
+        with pytest.raises(ChildFailedError, match=r"(?s)done.*exit code 0.*bye"):
+            child.must_run()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
