@@ -86,7 +86,11 @@ class Mapper:
     @property
     def dirty_count(self) -> int:
         """Experts whose evidence changed since it was last trained, those in training included."""
-        return len(self._training.union(self._evidence.dirty().tolist()))
+        return len(self.dirty_ids())
+
+    def dirty_ids(self) -> frozenset[int]:
+        """Clusters whose newest evidence is not in the snapshot, those in training included."""
+        return frozenset(self._training.union(self._evidence.dirty().tolist()))
 
     def snapshot(self) -> Snapshot:
         """The latest version of the map."""
@@ -155,6 +159,10 @@ class Mapper:
         """A job did not end well: its expert is dirty again."""
         self._training.discard(job.cluster_id)
         self._evidence.clusters.fresh[job.cluster_id] += 1
+
+    def set_aside(self, job: TrainingJob) -> None:
+        """A job is hopeless: its expert stays as it was until its evidence changes."""
+        self._training.discard(job.cluster_id)
 
     def train(self, executor: Executor | None = None) -> Snapshot:
         """Train all dirty experts and swap them in; the new version of the map.
