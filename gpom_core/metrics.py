@@ -85,7 +85,7 @@ def score(probability: ArrayLike, occupied: ArrayLike, known: ArrayLike | None =
         nll=negative_log_likelihood(p, y),
         brier=brier(p, y),
         ece=expected_calibration_error(p, y),
-        share_unknown=float(1.0 - np.mean(is_known)),
+        share_unknown=float(np.mean(~is_known)),
         points=int(p.size),
     )
 

@@ -1,0 +1,170 @@
+"""Maps to be scored by the evaluation protocol: gpom in process, a running service, the grids."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from clients.map_client import MapClient
+from clients.protocol import Bools, Floats, LabelledPoints, Predict, hit_ends, labelled_points
+from gpom_core.baselines import (
+    COUNTING_MODELS,
+    RESOLUTIONS_M,
+    CountingGrid,
+    LogOddsGrid,
+    OccupancyGrid,
+    best_by_likelihood,
+)
+from gpom_core.config import MapConfig
+from gpom_core.mapper import Mapper
+from gpom_core.scan import Scan
+from gpom_core.snapshot import Snapshot
+
+# Every fifth training scan is set aside while a grid's cell size and weights are chosen.
+_VALIDATION_STEP, _VALIDATION_PHASE = 5, 2
+_VALIDATION_SEED = 1
+
+Track = Callable[[Sequence[Scan], str], Iterable[Scan]]
+"""Passes scans on while it shows progress under a title."""
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """A finished map.
+
+    Attributes:
+        name: of the method, in the report.
+        predict: the map.
+        facts: what building it cost and how large it is, ready for JSON.
+    """
+
+    name: str
+    predict: Predict
+    facts: Mapping[str, object] = field(default_factory=dict)
+
+
+def untracked(scans: Sequence[Scan], _title: str) -> Iterable[Scan]:
+    """Show no progress."""
+    return scans
+
+
+def gpom_map(
+    training: Sequence[Scan],
+    fusions: Sequence[str] = ("bcm",),
+    *,
+    config: MapConfig | None = None,
+    track: Track = untracked,
+) -> list[Contender]:
+    """Build and train the map once, and enter it under each fusion rule."""
+    config = config or MapConfig()
+    _compile(training, config)
+    mapper = Mapper(config)
+    started = perf_counter()
+    for scan in track(training, "building the map"):
+        mapper.update(scan)
+    built = perf_counter()
+    snapshot = mapper.train()
+    facts = {
+        "build_s": _round_s(built - started),
+        "training_s": _round_s(perf_counter() - built),
+        "experts": mapper.expert_count,
+        "observations": mapper.observation_count,
+    }
+    return [Contender(f"gpom {name}", _ask(snapshot, name), facts) for name in fusions]
+
+
+def running_service(client: MapClient, fusions: Sequence[str] = ("bcm",)) -> list[Contender]:
+    """Enter the map of a running service under each fusion rule; it must not hold held-out scans.
+
+    Raises:
+        MapServiceError: the service does not answer.
+    """
+    status = client.status()
+    facts = {
+        "url": client.url,
+        "map_version": status.map_version,
+        "scans_integrated": status.scans_integrated,
+        "experts": status.experts,
+        "dirty_experts": status.dirty_experts,
+        "observations": status.observations,
+    }
+
+    def ask(fusion: str) -> Predict:
+        def predict(points: Floats) -> tuple[Floats, Bools]:
+            answer = client.query(points, fusion=fusion)
+            return answer.occupancy, answer.known
+
+        return predict
+
+    return [Contender(f"service {name}", ask(name), facts) for name in fusions]
+
+
+def grids(training: Sequence[Scan], track: Track = untracked) -> list[Contender]:
+    """Enter both kinds of grid at every resolution, and the counting grid at its best.
+
+    The best is the cell size and the weights with the best likelihood on every fifth training
+    scan, read from grids of the other training scans.
+    """
+    contenders = []
+    counting: dict[float, CountingGrid] = {}
+    for resolution_m in RESOLUTIONS_M:
+        count, log_odds = CountingGrid(resolution_m), LogOddsGrid(resolution_m)
+        counting[resolution_m] = count
+        for label, grid in (("counting grid", count), ("log-odds grid", log_odds)):
+            title = f"{label} {resolution_m * 100:g} cm"
+            seconds = _fill(grid, track(training, title))
+            facts: dict[str, object] = {"build_s": seconds, "resolution_m": resolution_m}
+            contenders.append(Contender(title, grid.occupancy, facts))
+    chosen = _choose(training)
+    best = counting[chosen.resolution_m].with_model(chosen.model)
+    facts = {
+        "resolution_m": best.resolution_m,
+        "hit_weight": best.model.hit_weight,
+        "prior_count": best.model.prior_count,
+    }
+    return [*contenders, Contender("counting grid tuned", best.occupancy, facts)]
+
+
+def _choose(training: Sequence[Scan]) -> CountingGrid:
+    aside = [s for i, s in enumerate(training) if i % _VALIDATION_STEP == _VALIDATION_PHASE]
+    rest = [s for i, s in enumerate(training) if i % _VALIDATION_STEP != _VALIDATION_PHASE]
+    points = labelled_points(aside, _VALIDATION_SEED, keep=None)
+    if not _has_both(points):
+        return CountingGrid(RESOLUTIONS_M[len(RESOLUTIONS_M) // 2])
+    candidates = [CountingGrid(resolution_m) for resolution_m in RESOLUTIONS_M]
+    for grid in candidates:
+        _fill(grid, rest)
+    read = (grid.with_model(model) for grid in candidates for model in COUNTING_MODELS)
+    return best_by_likelihood(read, points.points, points.occupied)
+
+
+def _has_both(points: LabelledPoints) -> bool:
+    return bool(points.occupied.any() and not points.occupied.all())
+
+
+def _fill(grid: OccupancyGrid, scans: Iterable[Scan]) -> float:
+    started = perf_counter()
+    for scan in scans:
+        grid.add(np.array(scan.pose[:2]), hit_ends(scan))
+    return _round_s(perf_counter() - started)
+
+
+def _round_s(seconds: float) -> float:
+    return round(seconds, 4)
+
+
+def _ask(snapshot: Snapshot, fusion: str) -> Predict:
+    def predict(points: Floats) -> tuple[Floats, Bools]:
+        answer = snapshot.query(points, fusion)
+        return answer.occupancy, answer.known
+
+    return predict
+
+
+def _compile(training: Sequence[Scan], config: MapConfig) -> None:
+    """Run everything once on the first scan, so that no figure contains compilation."""
+    mapper = Mapper(config)
+    for scan in training[:1]:
+        mapper.update(scan)
+        mapper.train().query(np.array([scan.pose[:2]]))
