@@ -116,9 +116,11 @@ def grids(training: Sequence[Scan], track: Track = untracked) -> list[Contender]
             seconds = _fill(grid, track(training, title))
             facts: dict[str, object] = {"build_s": seconds, "resolution_m": resolution_m}
             contenders.append(Contender(title, grid.occupancy, facts))
+    started = perf_counter()
     chosen = _choose(training)
     best = counting[chosen.resolution_m].with_model(chosen.model)
     facts = {
+        "tuning_s": _round_s(perf_counter() - started),
         "resolution_m": best.resolution_m,
         "hit_weight": best.model.hit_weight,
         "prior_count": best.model.prior_count,
