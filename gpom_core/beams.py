@@ -110,10 +110,10 @@ def _nearest_hit(
 
 
 @compiled
-def _free_area(
+def _new_free_area(
+    row: int,
     ix: int,
     iy: int,
-    share: float,
     home: int,
     rows: Rows,
     surfaces: Places,
@@ -121,34 +121,25 @@ def _free_area(
     clusters: Clusters,
     cell_m: float,
     near_m: float,
-    cap: float,
-) -> int:
-    """Count `share` of a traversal in cell (ix, iy); 1 if the cell is new."""
-    row, new = find_or_add(rows.slots, rows.keys, rows.size, cell_key(BOX, ix, iy), 0)
-    if new:
-        rows.kind[row] = BOX
-        rows.geometry[row, 0, 0] = ix * cell_m
-        rows.geometry[row, 0, 1] = iy * cell_m
-        rows.geometry[row, 1, 0] = (ix + 1) * cell_m
-        rows.geometry[row, 1, 1] = (iy + 1) * cell_m
-        hit, rows.near[row] = _nearest_hit(ix, iy, rows, surfaces, cell_m, near_m)
-        if hit != NONE:
-            home = rows.owner[hit]
+) -> None:
+    """Describe a new row for cell (ix, iy) and give it to the cluster that is at home there."""
+    rows.kind[row] = BOX
+    rows.geometry[row, 0, 0] = ix * cell_m
+    rows.geometry[row, 0, 1] = iy * cell_m
+    rows.geometry[row, 1, 0] = (ix + 1) * cell_m
+    rows.geometry[row, 1, 1] = (iy + 1) * cell_m
+    hit, rows.near[row] = _nearest_hit(ix, iy, rows, surfaces, cell_m, near_m)
+    if hit != NONE:
+        home = rows.owner[hit]
+    else:
+        key = cell_key(BLOCK_KEY, ix // BLOCK_CELLS, iy // BLOCK_CELLS)
+        block, first = find_or_add(blocks.slots, blocks.keys, blocks.size, key, 0)
+        if first:
+            blocks.row[block] = row
         else:
-            key = cell_key(
-                BLOCK_KEY,
-                int(np.floor(ix / BLOCK_CELLS)),
-                int(np.floor(iy / BLOCK_CELLS)),
-            )
-            block, first = find_or_add(blocks.slots, blocks.keys, blocks.size, key, 0)
-            if first:
-                blocks.row[block] = row
-            else:
-                home = rows.owner[blocks.row[block]]
-        attach(rows, clusters.head, clusters.rows, row, home)
-        clusters.fresh[home] += 1
-    touch(rows, clusters, row, share, cap)
-    return 1 if new else 0
+            home = rows.owner[blocks.row[block]]
+    attach(rows, clusters.head, clusters.rows, row, home)
+    clusters.fresh[home] += 1
 
 
 @compiled
@@ -193,14 +184,18 @@ def absorb_free_areas(
         next_y = ((iy + (uy > 0.0)) * cell_m - y) / uy if uy != 0.0 else np.inf
         step_x = cell_m / abs(ux) if ux != 0.0 else np.inf
         step_y = cell_m / abs(uy) if uy != 0.0 else np.inf
-        t = 0.0
+        t, per_cell = 0.0, 1.0 / cell_m
         while t < length:
             leave = min(next_x, next_y, length)
             if leave > t:
-                fresh += _free_area(
-                    ix, iy, (leave - t) / cell_m, homes[b],
-                    rows, surfaces, blocks, clusters, cell_m, near_m, cap,
-                )  # fmt: skip
+                key = cell_key(BOX, ix, iy)
+                row, new = find_or_add(rows.slots, rows.keys, rows.size, key, 0)
+                if new:
+                    fresh += 1
+                    _new_free_area(
+                        row, ix, iy, homes[b], rows, surfaces, blocks, clusters, cell_m, near_m
+                    )
+                touch(rows, clusters, row, (leave - t) * per_cell, cap)
             t = max(t, leave)
             if next_x <= next_y:
                 ix += sx

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtr
 
+DEFAULT_SLOPE = 3.0  # before there is evidence to fit it: targets are +1 and -1, not infinite
 _SLOPE_BOUNDS = (0.05, 50.0)
 _OFFSET_BOUND = 10.0
 _PULL = 1e-3  # towards slope 1 and offset 0, so that little evidence cannot run away

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.jit import compiled
+from gpom_core.jit import compiled, inlined
 from gpom_core.lines import principal_axis
 from gpom_core.rows import NONE, Places, Rows, attach, cell_key, detach, find
 
@@ -92,14 +92,13 @@ def add_hit_moments(clusters: Clusters, c: int, x: float, y: float) -> None:
     m[5] += dy * dy
 
 
-@compiled
+@inlined
 def touch(rows: Rows, clusters: Clusters, row: int, added: float, cap: float) -> None:
-    """Merge `added` more observations into a row and note what its cluster gained."""
-    c, count = rows.owner[row], rows.count[row]
-    if count >= cap:
-        return
-    clusters.gain[c] += added / (count + 1.0)
-    rows.count[row] = min(count + added, cap)
+    """Merge `added` more observations into a row; below the cap its cluster gains by it."""
+    count = rows.count[row]
+    rows.count[row] = count + added
+    if count < cap:
+        clusters.gain[rows.owner[row]] += added / (count + 1.0)
 
 
 @compiled

@@ -193,6 +193,7 @@ class Evidence:
             self.rows, self.clusters, cluster,
             cell_m=c.cell_m, levels=c.coarse_levels, coarsen_from_m=c.coarsen_from_m,
             hit_noise_std=c.hit_noise_std, free_noise_std=c.free_noise_std,
+            hit_cap=c.hit_cap, free_cap=c.free_cap,
         )  # fmt: skip
         return int(self.clusters.revision[cluster]), observations
 

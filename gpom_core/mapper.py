@@ -9,12 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import calibration
+from gpom_core.calibration import DEFAULT_SLOPE, Calibration
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence, UpdateReport
 from gpom_core.expert import Expert, Hyperparameters, train
 from gpom_core.observations import Observations
 from gpom_core.reach import reach_of
+from gpom_core.recalibration import recalibrated
 from gpom_core.scan import Scan
 from gpom_core.snapshot import CUTOFF_SCALES, TILE_M, Bounds, Member, Snapshot
 
@@ -66,6 +67,7 @@ class Mapper:
         self._snapshot = Snapshot(
             prior_variance=self.config.signal_std**2,
             known_variance_ratio=self.config.known_variance_ratio,
+            calibration=Calibration(DEFAULT_SLOPE),
         )
 
     @property
@@ -173,19 +175,13 @@ class Mapper:
         jobs = self.take_jobs(2**31)
         run = map if executor is None else executor.map
         trained = list(run(TrainingJob.run, jobs))
-        self._snapshot = self.swap(trained)
+        self.swap(trained)
+        return self.recalibrate()
+
+    def recalibrate(self) -> Snapshot:
+        """Fit the calibration to the map as it stands; a new version if that changed it."""
+        calibration = recalibrated(self._snapshot)
+        if calibration != self._snapshot.calibration:
+            self._snapshot = self._snapshot.swapped([], calibration=calibration)
         return self._snapshot
 
-
-def recalibrated(snapshot: Snapshot) -> calibration.Calibration:
-    """The snapshot's calibration fitted anew by leave-one-out."""
-    mean, variance, target, count = [], [], [], []
-    for member in snapshot.members.values():
-        m, v = member.expert.leave_one_out()
-        mean.append(m)
-        variance.append(v)
-        target.append(member.expert.observations.targets)
-        count.append(member.expert.observations.count)
-    return calibration.fit(
-        np.concatenate(mean), np.concatenate(variance), np.concatenate(target) > 0,
-    )

@@ -14,6 +14,7 @@ from gpom_core.jit import compiled
 from gpom_core.rows import COORDINATE_BITS, NONE, Rows
 
 OCCUPIED, FREE = 1.0, -1.0
+LEAST_COUNT = 1e-3  # a beam that grazes a cell; less is not worth a different noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +70,8 @@ def merge_areas(
     cell_m: float,
     levels: int,
     coarsen_from_m: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    cap: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Merge free areas four by four into coarser ones where no surface is near.
 
     A square of edge e is merged when its four quarters are all known and its nearest hit is
@@ -79,7 +81,7 @@ def merge_areas(
         key: (n,) lattice keys. count: (n,). near: (n,) distance to the nearest hit.
 
     Returns:
-        geometry (m, 2, 2) and count (m,), the sum of what was merged.
+        geometry (m, 2, 2), and (m,) the sums of the counts, whole and each capped at `cap`.
     """
     n = len(key)
     offset = 1 << (COORDINATE_BITS - 1)
@@ -87,8 +89,9 @@ def merge_areas(
     ix = ((key >> COORDINATE_BITS) & mask) - offset
     iy = (key & mask) - offset
     count, near = count.copy(), near.copy()
+    weight = np.minimum(count, cap)
     geometry = np.empty((n, 2, 2))
-    total = np.empty(n)
+    total, capped = np.empty(n), np.empty(n)
     done = 0
     for level in range(levels + 1):
         edge = cell_m * 2**level
@@ -97,16 +100,17 @@ def merge_areas(
         i = 0
         while i < len(order):
             j = i + 1
-            nearest, summed = near[order[i]], count[order[i]]
+            nearest, seen, summed = near[order[i]], count[order[i]], weight[order[i]]
             px, py = ix[order[i]] >> 1, iy[order[i]] >> 1
             while j < len(order) and ix[order[j]] >> 1 == px and iy[order[j]] >> 1 == py:
                 nearest = min(nearest, near[order[j]])
-                summed += count[order[j]]
+                seen += count[order[j]]
+                summed += weight[order[j]]
                 j += 1
             if level < levels and j - i == 4 and nearest > coarsen_from_m + edge:
                 # The parent takes the place of a child that has been read already.
                 first = order[i]
-                near[first], count[first] = nearest, summed
+                near[first], count[first], weight[first] = nearest, seen, summed
                 order[kept] = first
                 kept += 1
             else:
@@ -116,15 +120,15 @@ def merge_areas(
                     geometry[done, 0, 1] = iy[o] * edge
                     geometry[done, 1, 0] = (ix[o] + 1) * edge
                     geometry[done, 1, 1] = (iy[o] + 1) * edge
-                    total[done] = count[o]
+                    total[done], capped[done] = count[o], weight[o]
                     done += 1
             i = j
         parents = order[:kept]
         ix, iy = ix[parents] >> 1, iy[parents] >> 1
-        count, near = count[parents], near[parents]
+        count, weight, near = count[parents], weight[parents], near[parents]
         if kept == 0:
             break
-    return geometry[:done], total[:done]
+    return geometry[:done], total[:done], capped[:done]
 
 
 def observations_of(
@@ -137,24 +141,28 @@ def observations_of(
     coarsen_from_m: float,
     hit_noise_std: float,
     free_noise_std: float,
+    hit_cap: float,
+    free_cap: float,
 ) -> Observations:
     """The observations of one cluster, free areas merged where no surface is near."""
     mine = gather(rows, clusters, cluster)
     kind = rows.kind[mine]
     areas, others = mine[kind == BOX], mine[kind != BOX]
-    box_geometry, box_count = merge_areas(
-        rows.keys[areas, 0], rows.count[areas], rows.near[areas], cell_m, levels, coarsen_from_m
-    )
+    box_geometry, box_count, box_weight = merge_areas(
+        rows.keys[areas, 0], rows.count[areas], rows.near[areas],
+        cell_m, levels, coarsen_from_m, free_cap,
+    )  # fmt: skip
     kinds = np.concatenate([rows.kind[others], np.full(len(box_count), BOX, np.uint8)])
-    count = np.concatenate([rows.count[others], box_count])
     hit = kinds == POINT
+    cap = np.where(hit, hit_cap, free_cap)[: len(others)]
+    weight = np.concatenate([np.minimum(rows.count[others], cap), box_weight])
     return Observations(
         kinds=kinds,
         geometry=np.concatenate([rows.geometry[others], box_geometry]),
         targets=np.where(hit, OCCUPIED, FREE),
         noise_variance=np.where(hit, hit_noise_std**2, free_noise_std**2)
-        / np.maximum(count, 1e-3),
-        count=count,
+        / np.maximum(weight, LEAST_COUNT),
+        count=np.concatenate([rows.count[others], box_count]),
     )
 
 

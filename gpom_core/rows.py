@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.jit import compiled
+from gpom_core.jit import compiled, inlined
 
 NONE = -1
 COORDINATE_BITS = 29  # of a cell index; two of them and the kind fill an int64 key
@@ -28,8 +28,7 @@ class Rows(NamedTuple):
         keys: (r, 2) lattice keys; the second is 0 except for segments.
         kind: (r,) kind of observation.
         geometry: (r, 2, 2) metres in the map frame, see `gpom_core.kernels`.
-        count: (r,) how many observations were merged, capped.
-        trained: (r,) the count when the owner was last marked dirty because of this row.
+        count: (r,) how many observations were merged; its weight in training is capped.
         near: (r,) distance to the nearest hit, metres; inf beyond `near_surface_m`.
         owner: (r,) cluster number.
         before, after: (r,) neighbours on the owner's list.
@@ -41,7 +40,6 @@ class Rows(NamedTuple):
     kind: NDArray[np.uint8]
     geometry: NDArray[np.float64]
     count: NDArray[np.float64]
-    trained: NDArray[np.float64]
     near: NDArray[np.float64]
     owner: NDArray[np.int32]
     before: NDArray[np.int32]
@@ -67,7 +65,6 @@ def new_rows(capacity: int = 4096) -> Rows:
         kind=np.zeros(capacity, np.uint8),
         geometry=np.zeros((capacity, 2, 2)),
         count=np.zeros(capacity),
-        trained=np.zeros(capacity),
         near=np.zeros(capacity),
         owner=np.full(capacity, NONE, np.int32),
         before=np.full(capacity, NONE, np.int32),
@@ -112,14 +109,14 @@ def _rehash(slots: Any, keys: Any, used: int) -> None:
         slots[slot] = i
 
 
-@compiled
+@inlined
 def cell_key(kind: int, ix: int, iy: int) -> int:
     """Key of lattice cell (ix, iy), |index| < COORDINATE_LIMIT."""
     offset = 1 << (COORDINATE_BITS - 1)
     return (kind << (2 * COORDINATE_BITS)) | ((ix + offset) << COORDINATE_BITS) | (iy + offset)
 
 
-@compiled
+@inlined
 def _slot(slots: Any, keys: Any, a: int, b: int) -> int:
     """Slot of key (a, b), or the free slot where it belongs. Linear probing."""
     mask = len(slots) - 1
@@ -135,13 +132,13 @@ def _slot(slots: Any, keys: Any, a: int, b: int) -> int:
         slot = (slot + 1) & mask
 
 
-@compiled
+@inlined
 def find(slots: Any, keys: Any, a: int, b: int) -> int:
     """Entry with key (a, b), or NONE."""
     return slots[_slot(slots, keys, a, b)]
 
 
-@compiled
+@inlined
 def find_or_add(slots: Any, keys: Any, size: Any, a: int, b: int) -> tuple[int, bool]:
     """Entry with key (a, b) and whether it is new. The caller has made room."""
     slot = _slot(slots, keys, a, b)
