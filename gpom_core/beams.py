@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from gpom_core.clusters import Clusters, add_hit_moments, touch
 from gpom_core.jit import compiled
-from gpom_core.rows import NONE, Places, Rows, attach, cell_key, detach, find, find_or_add
+from gpom_core.rows import NONE, Rows, add_unindexed, attach, cell_key, detach, find_or_add
+from gpom_core.tiles import TILE_SHIFT, Tiles, place_in_tile, square, tile_at
 
 POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
-SURFACE_KEY, BLOCK_KEY = 0, 1
-BLOCK_CELLS = 8  # open space is handed to clusters in squares of this many cells
 
 
 @compiled
@@ -21,7 +20,7 @@ def absorb_hits(
     xy: NDArray[np.float64],
     homes: NDArray[np.int32],
     rows: Rows,
-    surfaces: Places,
+    tiles: Tiles,
     clusters: Clusters,
     hit_cell_m: float,
     cell_m: float,
@@ -32,9 +31,11 @@ def absorb_hits(
 
     A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it.
     Free areas nearer to a new surface than to any other follow its cluster.
-    The caller has made room for n rows and n surfaces. Returns the number of new rows.
+    The caller has made room for n rows and n tiles. Returns the number of new rows.
     """
     fresh = 0
+    reach = int(np.ceil(near_m / cell_m))
+    around = np.empty((2 * reach + 1, 2 * reach + 1), np.int32)
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
         key = cell_key(POINT, int(np.floor(x / hit_cell_m)), int(np.floor(y / hit_cell_m)))
@@ -49,12 +50,11 @@ def absorb_hits(
             clusters.fresh[homes[i]] += 1
             add_hit_moments(clusters, homes[i], x, y)
             ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
-            place, first = find_or_add(
-                surfaces.slots, surfaces.keys, surfaces.size, cell_key(SURFACE_KEY, ix, iy), 0
-            )
-            if first:
-                surfaces.row[place] = row
-                _claim_free_areas(ix, iy, row, rows, clusters, cell_m, near_m)
+            tile, place = tile_at(tiles, ix, iy), place_in_tile(ix, iy)
+            if tiles.hit[tile, place] == NONE:
+                tiles.hit[tile, place] = row
+                square(tiles, tiles.free, ix, iy, reach, around)
+                _claim_free_areas(ix, iy, row, around, rows, clusters, cell_m, near_m)
         else:
             homes[i] = rows.owner[row]
             share = 1.0 / (min(rows.count[row], cap - 1.0) + 1.0)  # a running mean that forgets
@@ -66,14 +66,15 @@ def absorb_hits(
 
 @compiled
 def _claim_free_areas(
-    ix: int, iy: int, hit: int, rows: Rows, clusters: Clusters, cell_m: float, near_m: float
-) -> None:
-    """Give the free areas around a new surface to its cluster where it is the nearest."""
+    ix: int, iy: int, hit: int, around: Any, rows: Rows, clusters: Clusters,
+    cell_m: float, near_m: float,
+) -> None:  # fmt: skip
+    """Give the free areas `around` a new surface to its cluster where it is the nearest."""
     home = rows.owner[hit]
-    reach = int(np.ceil(near_m / cell_m))
+    reach = len(around) // 2
     for dx in range(-reach, reach + 1):
         for dy in range(-reach, reach + 1):
-            row = find(rows.slots, rows.keys, cell_key(BOX, ix + dx, iy + dy), 0)
+            row = around[dx + reach, dy + reach]
             if row == NONE:
                 continue
             d = np.hypot(
@@ -92,17 +93,16 @@ def _claim_free_areas(
 
 @compiled
 def _nearest_hit(
-    ix: int, iy: int, rows: Rows, surfaces: Places, cell_m: float, near_m: float
+    ix: int, iy: int, around: Any, rows: Rows, cell_m: float, near_m: float
 ) -> tuple[int, float]:
-    """Row of the nearest hit within `near_m` of the centre of a cell, or NONE, and its distance."""
+    """Row of the nearest hit `around` within `near_m` of a cell's centre, or NONE; distance."""
     best, nearest = NONE, near_m
-    reach = int(np.ceil(near_m / cell_m))
+    reach = len(around) // 2
     cx, cy = (ix + 0.5) * cell_m, (iy + 0.5) * cell_m
-    for dx in range(-reach, reach + 1):
-        for dy in range(-reach, reach + 1):
-            place = find(surfaces.slots, surfaces.keys, cell_key(SURFACE_KEY, ix + dx, iy + dy), 0)
-            if place != NONE:
-                hit = surfaces.row[place]
+    for dx in range(2 * reach + 1):
+        for dy in range(2 * reach + 1):
+            hit = around[dx, dy]
+            if hit != NONE:
                 d = np.hypot(cx - rows.geometry[hit, 0, 0], cy - rows.geometry[hit, 0, 1])
                 if d < nearest:
                     best, nearest = hit, d
@@ -111,35 +111,28 @@ def _nearest_hit(
 
 @compiled
 def _new_free_area(
-    row: int,
-    ix: int,
-    iy: int,
-    home: int,
-    rows: Rows,
-    surfaces: Places,
-    blocks: Places,
-    clusters: Clusters,
-    cell_m: float,
-    near_m: float,
-) -> None:
-    """Describe a new row for cell (ix, iy) and give it to the cluster that is at home there."""
+    ix: int, iy: int, tile: int, home: int, around: Any, rows: Rows, tiles: Tiles,
+    clusters: Clusters, cell_m: float, near_m: float,
+) -> int:  # fmt: skip
+    """A new row for cell (ix, iy), given to the cluster that is at home there."""
+    row = add_unindexed(rows, cell_key(BOX, ix, iy))
+    tiles.free[tile, place_in_tile(ix, iy)] = row
     rows.kind[row] = BOX
     rows.geometry[row, 0, 0] = ix * cell_m
     rows.geometry[row, 0, 1] = iy * cell_m
     rows.geometry[row, 1, 0] = (ix + 1) * cell_m
     rows.geometry[row, 1, 1] = (iy + 1) * cell_m
-    hit, rows.near[row] = _nearest_hit(ix, iy, rows, surfaces, cell_m, near_m)
+    square(tiles, tiles.hit, ix, iy, len(around) // 2, around)
+    hit, rows.near[row] = _nearest_hit(ix, iy, around, rows, cell_m, near_m)
     if hit != NONE:
         home = rows.owner[hit]
+    elif tiles.first[tile] == NONE:
+        tiles.first[tile] = row
     else:
-        key = cell_key(BLOCK_KEY, ix // BLOCK_CELLS, iy // BLOCK_CELLS)
-        block, first = find_or_add(blocks.slots, blocks.keys, blocks.size, key, 0)
-        if first:
-            blocks.row[block] = row
-        else:
-            home = rows.owner[blocks.row[block]]
+        home = rows.owner[tiles.first[tile]]
     attach(rows, clusters.head, clusters.rows, row, home)
     clusters.fresh[home] += 1
+    return row
 
 
 @compiled
@@ -150,8 +143,7 @@ def absorb_free_areas(
     free_m: NDArray[np.float64],
     homes: NDArray[np.int32],
     rows: Rows,
-    surfaces: Places,
-    blocks: Places,
+    tiles: Tiles,
     clusters: Clusters,
     cell_m: float,
     near_m: float,
@@ -170,33 +162,41 @@ def absorb_free_areas(
         The first beam that there was no room for (n when done), and the number of new rows.
     """
     fresh = 0
+    reach = int(np.ceil(near_m / cell_m))
+    around = np.empty((2 * reach + 1, 2 * reach + 1), np.int32)
+    x, y = origin[0], origin[1]
+    per_cell = 1.0 / cell_m
     for b in range(start, len(free_m)):
         length = free_m[b]
         if not length > 0.0:
             continue
-        worst = int(2.0 * length / cell_m) + 4
-        if rows.size[0] + worst > len(rows.keys) or blocks.size[0] + worst > len(blocks.keys):
+        worst = cells_crossed(length, cell_m)
+        if rows.size[0] + worst > len(rows.keys) or tiles.size[0] + worst > len(tiles.keys):
             return b, fresh
-        x, y, ux, uy = origin[0], origin[1], direction[b, 0], direction[b, 1]
+        ux, uy = direction[b, 0], direction[b, 1]
         ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
         sx, sy = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
         next_x = ((ix + (ux > 0.0)) * cell_m - x) / ux if ux != 0.0 else np.inf
         next_y = ((iy + (uy > 0.0)) * cell_m - y) / uy if uy != 0.0 else np.inf
         step_x = cell_m / abs(ux) if ux != 0.0 else np.inf
         step_y = cell_m / abs(uy) if uy != 0.0 else np.inf
-        t, per_cell = 0.0, 1.0 / cell_m
+        t = 0.0
+        tx, ty = ix >> TILE_SHIFT, iy >> TILE_SHIFT
+        tile = tile_at(tiles, ix, iy)
         while t < length:
             leave = min(next_x, next_y, length)
             if leave > t:
-                key = cell_key(BOX, ix, iy)
-                row, new = find_or_add(rows.slots, rows.keys, rows.size, key, 0)
-                if new:
+                if ix >> TILE_SHIFT != tx or iy >> TILE_SHIFT != ty:
+                    tx, ty = ix >> TILE_SHIFT, iy >> TILE_SHIFT
+                    tile = tile_at(tiles, ix, iy)
+                row = tiles.free[tile, place_in_tile(ix, iy)]
+                if row == NONE:
                     fresh += 1
-                    _new_free_area(
-                        row, ix, iy, homes[b], rows, surfaces, blocks, clusters, cell_m, near_m
+                    row = _new_free_area(
+                        ix, iy, tile, homes[b], around, rows, tiles, clusters, cell_m, near_m
                     )
                 touch(rows, clusters, row, (leave - t) * per_cell, cap)
-            t = max(t, leave)
+                t = leave
             if next_x <= next_y:
                 ix += sx
                 next_x += step_x
@@ -204,6 +204,12 @@ def absorb_free_areas(
                 iy += sy
                 next_y += step_y
     return len(free_m), fresh
+
+
+@compiled
+def cells_crossed(length_m: float, cell_m: float) -> int:
+    """At most this many cells (or tiles) are crossed by a beam of `length_m`."""
+    return int(2.0 * length_m / cell_m) + 4
 
 
 @compiled

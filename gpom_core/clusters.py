@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, inlined
 from gpom_core.lines import principal_axis
-from gpom_core.rows import NONE, Places, Rows, attach, cell_key, detach, find
+from gpom_core.rows import NONE, Rows, attach, detach
+from gpom_core.tiles import Tiles, square
 
 MAX_CANDIDATES = 16  # clusters that one run can touch; more are not looked at
 FEW_HITS = 3  # a run this short has no direction: it joins what is near
@@ -106,19 +107,19 @@ def associate(
     xy: NDArray[np.float64],
     starts: NDArray[np.int64],
     rows: Rows,
-    surfaces: Places,
+    tiles: Tiles,
     clusters: Clusters,
     cell_m: float,
     tolerance_m: float,
 ) -> NDArray[np.int32]:
     """Cluster of every hit of a scan.
 
-    Each run asks the surfaces in and around its hits' cells which cluster is at home there. The
+    Each run asks the cells in and around its hits which cluster has hits there. The
     cluster with most votes takes the run if the run lies on its line; a run that finds nobody
     founds a cluster. The caller has made room for one cluster per run.
 
     Args:
-        xy: (n, 2) hits. starts: from `track_lines`. surfaces: cells with a hit.
+        xy: (n, 2) hits. starts: from `track_lines`.
 
     Returns:
         (n,) cluster numbers.
@@ -130,7 +131,7 @@ def associate(
     while starts[run] < len(xy):
         first, end = starts[run], starts[run + 1]
         few = end - first <= FEW_HITS
-        found = _vote(xy[first:end], rows, surfaces, cell_m, 3 if few else 1, names, votes)
+        found = _vote(xy[first:end], rows, tiles, cell_m, 3 if few else 1, names, votes)
         chosen = NONE
         for _ in range(found):
             best = np.argmax(votes[:found])
@@ -149,18 +150,20 @@ def associate(
 
 @compiled
 def _vote(
-    xy: Any, rows: Rows, surfaces: Places, cell_m: float, reach: int, names: Any, votes: Any
+    xy: Any, rows: Rows, tiles: Tiles, cell_m: float, reach: int, names: Any, votes: Any
 ) -> int:
     """Fill `names` and `votes` with the clusters around the hits; how many were found."""
     found = 0
+    around = np.empty((2 * reach + 1, 2 * reach + 1), np.int32)
     for i in range(len(xy)):
         ix, iy = int(np.floor(xy[i, 0] / cell_m)), int(np.floor(xy[i, 1] / cell_m))
+        square(tiles, tiles.hit, ix, iy, reach, around)
         for dx in range(-reach, reach + 1):
             for dy in range(-reach, reach + 1):
-                place = find(surfaces.slots, surfaces.keys, cell_key(0, ix + dx, iy + dy), 0)
-                if place == NONE:
+                hit = around[dx + reach, dy + reach]
+                if hit == NONE:
                     continue
-                owner = rows.owner[surfaces.row[place]]
+                owner = rows.owner[hit]
                 weight = 1.0 / (1.0 + dx * dx + dy * dy)
                 k = 0
                 while k < found and names[k] != owner:
@@ -192,6 +195,18 @@ def _on_line(xy: Any, clusters: Clusters, c: int, tolerance_m: float) -> bool:
         off = (xy[i, 1] - oy - cy) * tx - (xy[i, 0] - ox - cx) * ty
         total += off * off
     return total <= tolerance_m * tolerance_m * len(xy)
+
+
+@compiled
+def longer_than(clusters: Clusters, among: NDArray[np.int32], limit_m: float) -> NDArray[np.int32]:
+    """Those of the clusters `among` (n,) whose line is longer than `limit_m`."""
+    out = np.empty(len(among), np.int32)
+    n = 0
+    for c in among:
+        if length_m(clusters, c) > limit_m:
+            out[n] = c
+            n += 1
+    return out[:n]
 
 
 @compiled

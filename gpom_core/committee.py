@@ -81,9 +81,7 @@ def fuse(
     """
     if means.shape != variances.shape or means.ndim != 2:
         raise ValueError(f"means {means.shape} and variances {variances.shape} must both be (k, m)")
-    precision = np.full(
-        means.shape[1], prior_precision(fusion, prior_variance, len(means))
-    )
+    precision = np.full(means.shape[1], prior_precision(fusion, prior_variance, len(means)))
     information = np.zeros(means.shape[1])
     for mean, variance in zip(means, variances, strict=True):
         for j in range(means.shape[1]):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import beams, clusters, lines, rows
+from gpom_core import beams, clusters, lines, rows, tiles
 from gpom_core.beams import POINT
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
@@ -20,11 +20,10 @@ SIMILAR_BEAMS = 4  # returning beams on each side that a beam without return is 
 
 @dataclass(frozen=True, slots=True)
 class UpdateReport:
-    """What one scan changed: its hits, rows of evidence that are new, clusters that grew."""
+    """What one scan brought: its hits, and how many rows of evidence are new."""
 
     hits: int
     new_observations: int
-    dirty: int
 
 
 class Evidence:
@@ -33,8 +32,7 @@ class Evidence:
     def __init__(self, config: MapConfig) -> None:
         self.config = config
         self.rows = rows.new_rows()
-        self.surfaces = rows.new_places()
-        self.blocks = rows.new_places()
+        self.tiles = tiles.new_tiles()
         self.clusters = clusters.new_clusters()
 
     @property
@@ -49,7 +47,6 @@ class Evidence:
             InvalidScanError: the scan lies where the lattice has no cells; nothing was changed.
         """
         beam = self._beams(scan)
-        dirty_before = len(self.dirty())
         before = self.observation_count
         hits = beam.ends[beam.returned]
         homes = self._associate(hits, beam.spacing_m[beam.returned])
@@ -59,7 +56,6 @@ class Evidence:
         return UpdateReport(
             hits=len(hits),
             new_observations=self.observation_count - before,
-            dirty=max(len(self.dirty()) - dirty_before, 0),
         )
 
     def _beams(self, scan: Scan) -> _Beams:
@@ -95,15 +91,15 @@ class Evidence:
         starts = lines.track_lines(hits, spacing_m, c.line_tolerance_m, c.line_gap_m)
         self.clusters = clusters.with_room(self.clusters, len(hits) + 1)
         return clusters.associate(
-            hits, starts, self.rows, self.surfaces, self.clusters, c.cell_m, c.line_tolerance_m
+            hits, starts, self.rows, self.tiles, self.clusters, c.cell_m, c.line_tolerance_m
         )
 
     def _absorb_hits(self, hits: NDArray[np.float64], homes: NDArray[np.int32]) -> None:
         c = self.config
         self.rows = rows.with_room(self.rows, len(hits))
-        self.surfaces = rows.with_room(self.surfaces, len(hits))
+        self.tiles = tiles.with_room(self.tiles, len(hits))
         beams.absorb_hits(
-            hits, homes, self.rows, self.surfaces, self.clusters,
+            hits, homes, self.rows, self.tiles, self.clusters,
             c.hit_cell_m, c.cell_m, c.near_surface_m, c.hit_cap,
         )  # fmt: skip
 
@@ -119,10 +115,10 @@ class Evidence:
         while start < n:
             if c.free_evidence == "areas":
                 start, _ = beams.absorb_free_areas(
-                    start, beam.origin, beam.direction, free_m, homes, self.rows, self.surfaces,
-                    self.blocks, self.clusters, c.cell_m, c.near_surface_m, c.free_cap,
+                    start, beam.origin, beam.direction, free_m, homes, self.rows, self.tiles,
+                    self.clusters, c.cell_m, c.near_surface_m, c.free_cap,
                 )  # fmt: skip
-                room = int(2.0 * c.max_range_m / c.cell_m) + 8
+                room = beams.cells_crossed(c.max_range_m, c.cell_m)
             else:
                 start, _ = beams.absorb_free_segments(
                     start, beam.origin, beam.direction, free_m, homes, self.rows, self.clusters,
@@ -131,19 +127,18 @@ class Evidence:
                 room = int(c.max_range_m / c.segment_m) + 2
             if start < n:
                 self.rows = rows.with_room(self.rows, room)
-                self.blocks = rows.with_room(self.blocks, room)
+                self.tiles = tiles.with_room(self.tiles, room)
 
     def _homes_without_return(
         self, beam: _Beams, hit_homes: NDArray[np.int32]
     ) -> NDArray[np.int32]:
         """Cluster of each beam without return: that of the most similar returning beam, by the
-        segment-segment kernel (section 3.1). A scan without any return founds a cluster."""
+        segment-segment kernel (section 3.1). A scan without any return founds a cluster.
+        """
         silent, back = np.flatnonzero(~beam.returned), np.flatnonzero(beam.returned)
         if len(back) == 0:
             self.clusters = clusters.with_room(self.clusters, 1)
-            return np.full(
-                len(silent), clusters.add_cluster(self.clusters, *beam.origin), np.int32
-            )
+            return np.full(len(silent), clusters.add_cluster(self.clusters, *beam.origin), np.int32)
         middle = np.searchsorted(back, silent)
         shapes = np.stack([np.broadcast_to(beam.origin, beam.ends.shape), beam.ends], axis=1)
         homes = np.empty(len(silent), np.int32)
@@ -159,11 +154,11 @@ class Evidence:
         return homes
 
     def _split_long(self, touched: NDArray[np.int32]) -> None:
-        waiting = touched.tolist()
+        limit = self.config.max_length_m
+        waiting = clusters.longer_than(self.clusters, touched, limit).tolist()
         while waiting:
-            cluster = waiting.pop()
-            if clusters.length_m(self.clusters, cluster) > self.config.max_length_m:
-                waiting.extend(self.split(cluster, by_hits=True))
+            halves = np.array(self.split(waiting.pop(), by_hits=True), np.int32)
+            waiting += clusters.longer_than(self.clusters, halves, limit).tolist()
 
     def split(self, cluster: int, *, by_hits: bool) -> list[int]:
         """Halve a cluster; both halves, both dirty, or nothing if it cannot be halved."""
@@ -180,7 +175,9 @@ class Evidence:
         n = int(self.clusters.size[0])
         fresh, gain = self.clusters.fresh[:n], self.clusters.gain[:n]
         score = fresh + gain
-        changed = np.flatnonzero((fresh > 0) | (gain > self.config.retrain_gain * self.clusters.rows[:n]))
+        changed = np.flatnonzero(
+            (fresh > 0) | (gain > self.config.retrain_gain * self.clusters.rows[:n])
+        )
         return changed[np.argsort(-score[changed], kind="stable")]
 
     def take(self, cluster: int) -> tuple[int, Observations]:

@@ -6,8 +6,6 @@ hit and near the line fitted to the run; otherwise it begins a new run.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -184,4 +184,3 @@ class Mapper:
         if calibration != self._snapshot.calibration:
             self._snapshot = self._snapshot.swapped([], calibration=calibration)
         return self._snapshot
-

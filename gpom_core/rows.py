@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from gpom_core.jit import compiled, inlined
 
 NONE = -1
+AREA_KIND = 2  # kernels.Kind.BOX
 COORDINATE_BITS = 29  # of a cell index; two of them and the kind fill an int64 key
 COORDINATE_LIMIT = 2 ** (COORDINATE_BITS - 1) - 4096
 
@@ -24,7 +25,7 @@ class Rows(NamedTuple):
     """Struct of arrays; `size[0]` rows are in use.
 
     Attributes:
-        slots: (h,) hash table of row numbers, h a power of two.
+        slots: (h,) hash table of row numbers, h a power of two; free areas are found by tile.
         keys: (r, 2) lattice keys; the second is 0 except for segments.
         kind: (r,) kind of observation.
         geometry: (r, 2, 2) metres in the map frame, see `gpom_core.kernels`.
@@ -47,20 +48,10 @@ class Rows(NamedTuple):
     size: NDArray[np.int64]
 
 
-class Places(NamedTuple):
-    """Lattice cells and blocks that remember one row: a cell its first hit, a block its first
-    free area. What they point at says which cluster is at home there."""
-
-    slots: NDArray[np.int32]
-    keys: NDArray[np.int64]
-    row: NDArray[np.int32]
-    size: NDArray[np.int64]
-
-
 def new_rows(capacity: int = 4096) -> Rows:
     """Empty rows with room for `capacity`."""
     return Rows(
-        slots=np.full(_table_size(capacity), NONE, np.int32),
+        slots=np.full(table_size(capacity), NONE, np.int32),
         keys=np.zeros((capacity, 2), np.int64),
         kind=np.zeros(capacity, np.uint8),
         geometry=np.zeros((capacity, 2, 2)),
@@ -73,40 +64,41 @@ def new_rows(capacity: int = 4096) -> Rows:
     )
 
 
-def new_places(capacity: int = 1024) -> Places:
-    """Empty places with room for `capacity`."""
-    return Places(
-        slots=np.full(_table_size(capacity), NONE, np.int32),
-        keys=np.zeros((capacity, 2), np.int64),
-        row=np.full(capacity, NONE, np.int32),
-        size=np.zeros(1, np.int64),
-    )
-
-
-def _table_size(capacity: int) -> int:
+def table_size(capacity: int) -> int:
+    """Slots of a hash table that is at most half full."""
     return 1 << int(np.ceil(np.log2(max(capacity, 8) * 2)))
 
 
-def with_room(table: Any, extra: int) -> Any:
-    """`table` (Rows or Places) or a grown copy with room for `extra` more entries."""
-    used, capacity = int(table.size[0]), len(table.keys)
+def with_room(rows: Rows, extra: int) -> Rows:
+    """`rows`, or a grown copy with room for `extra` more."""
+    used, capacity = int(rows.size[0]), len(rows.keys)
     if used + extra <= capacity:
-        return table
-    capacity = max(2 * capacity, used + extra)
-    grown = (new_rows if isinstance(table, Rows) else new_places)(capacity)
-    for name in table._fields:
+        return rows
+    grown = new_rows(max(2 * capacity, used + extra))
+    for name in rows._fields:
         if name not in ("slots", "size"):
-            getattr(grown, name)[:used] = getattr(table, name)[:used]
+            getattr(grown, name)[:used] = getattr(rows, name)[:used]
     grown.size[0] = used
-    _rehash(grown.slots, grown.keys, used)
+    _index(grown, used)
     return grown
 
 
 @compiled
-def _rehash(slots: Any, keys: Any, used: int) -> None:
+def _index(rows: Rows, used: int) -> None:
     for i in range(used):
-        slot = _slot(slots, keys, keys[i, 0], keys[i, 1])
-        slots[slot] = i
+        if rows.kind[i] != AREA_KIND:
+            slot = _slot(rows.slots, rows.keys, rows.keys[i, 0], rows.keys[i, 1])
+            rows.slots[slot] = i
+
+
+@compiled
+def add_unindexed(rows: Rows, key: int) -> int:
+    """A new row that only its tile will find. The caller has made room."""
+    row = rows.size[0]
+    rows.size[0] = row + 1
+    rows.keys[row, 0] = key
+    rows.keys[row, 1] = 0
+    return row
 
 
 @inlined

@@ -207,7 +207,10 @@ class Snapshot:
         ]
 
     def swapped(
-        self, new: Iterable[Member], gone: Iterable[int] = (), calibration: Calibration | None = None
+        self,
+        new: Iterable[Member],
+        gone: Iterable[int] = (),
+        calibration: Calibration | None = None,
     ) -> Snapshot:
         """The next version: `new` experts in place of their old selves, `gone` ones left out."""
         members, sectors = dict(self.members), dict(self.sectors)

@@ -1,0 +1,104 @@
+"""The lattice of the map: tiles of 8 x 8 cells that know the free area and the hit in each cell.
+
+A tile is found by hashing, its cells by counting: a beam that walks through cells asks the hash
+once a tile, which measured 4 times faster than once a cell.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.jit import compiled, inlined
+from gpom_core.rows import NONE, cell_key, find, find_or_add, table_size
+
+TILE_SHIFT = 3
+TILE_CELLS = 1 << TILE_SHIFT
+_AREA = TILE_CELLS * TILE_CELLS
+
+
+class Tiles(NamedTuple):
+    """Struct of arrays; `size[0]` tiles are in use, all others hold NONE.
+
+    Attributes:
+        slots, keys: hash index, as in `Rows`.
+        free: (t, 64) row of the free area of each cell.
+        hit: (t, 64) row of the first hit in each cell.
+        first: (t,) row of the tile's first free area in the open: its cluster is at home here.
+    """
+
+    slots: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    free: NDArray[np.int32]
+    hit: NDArray[np.int32]
+    first: NDArray[np.int32]
+    size: NDArray[np.int64]
+
+
+def new_tiles(capacity: int = 256) -> Tiles:
+    """No tiles, with room for `capacity`."""
+    return Tiles(
+        slots=np.full(table_size(capacity), NONE, np.int32),
+        keys=np.zeros((capacity, 2), np.int64),
+        free=np.full((capacity, _AREA), NONE, np.int32),
+        hit=np.full((capacity, _AREA), NONE, np.int32),
+        first=np.full(capacity, NONE, np.int32),
+        size=np.zeros(1, np.int64),
+    )
+
+
+def with_room(tiles: Tiles, extra: int) -> Tiles:
+    """`tiles`, or a grown copy with room for `extra` more."""
+    used, capacity = int(tiles.size[0]), len(tiles.keys)
+    if used + extra <= capacity:
+        return tiles
+    grown = new_tiles(max(2 * capacity, used + extra))
+    for name in ("free", "hit", "first"):
+        getattr(grown, name)[:used] = getattr(tiles, name)[:used]
+    _index(grown, tiles.keys[:used])
+    return grown
+
+
+@compiled
+def _index(tiles: Tiles, keys: NDArray[np.int64]) -> None:
+    for i in range(len(keys)):
+        find_or_add(tiles.slots, tiles.keys, tiles.size, keys[i, 0], 0)
+
+
+@inlined
+def tile_at(tiles: Tiles, ix: int, iy: int) -> int:
+    """Tile that holds cell (ix, iy), added if it is new. The caller has made room."""
+    tile, _ = find_or_add(
+        tiles.slots, tiles.keys, tiles.size, cell_key(0, ix >> TILE_SHIFT, iy >> TILE_SHIFT), 0
+    )
+    return tile
+
+
+@inlined
+def place_in_tile(ix: int, iy: int) -> int:
+    """Number of cell (ix, iy) within its tile."""
+    return ((ix & (TILE_CELLS - 1)) << TILE_SHIFT) | (iy & (TILE_CELLS - 1))
+
+
+@compiled
+def square(
+    tiles: Tiles, of: NDArray[np.int32], ix: int, iy: int, reach: int, out: NDArray[np.int32]
+) -> None:
+    """Rows in the square of cells within `reach` of (ix, iy).
+
+    Args:
+        of: `tiles.free` or `tiles.hit`.
+        out: (2 reach + 1, 2 reach + 1), filled with rows or NONE; no tile is added.
+    """
+    out[:, :] = NONE
+    for tx in range((ix - reach) >> TILE_SHIFT, ((ix + reach) >> TILE_SHIFT) + 1):
+        for ty in range((iy - reach) >> TILE_SHIFT, ((iy + reach) >> TILE_SHIFT) + 1):
+            tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
+            if tile == NONE:
+                continue
+            x0, y0 = tx << TILE_SHIFT, ty << TILE_SHIFT
+            for x in range(max(x0, ix - reach), min(x0 + TILE_CELLS, ix + reach + 1)):
+                for y in range(max(y0, iy - reach), min(y0 + TILE_CELLS, iy + reach + 1)):
+                    out[x - ix + reach, y - iy + reach] = of[tile, place_in_tile(x, y)]
