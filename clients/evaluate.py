@@ -108,7 +108,7 @@ def evaluate_command(
     seed: Annotated[int, typer.Option(min=0, help="Draw of the test points.")] = 0,
     url: Annotated[
         str | None,
-        typer.Option(help="Score this running service; build no map. It has to hold the same log."),
+        typer.Option(help="Score the map of this running service instead of building one."),
     ] = None,
     baselines: Annotated[bool, typer.Option("--baselines", help="Score the grids too.")] = False,
     fusion: Annotated[
@@ -121,12 +121,15 @@ def evaluate_command(
 ) -> None:
     """Build a map from most scans of a log, score it on the others, print JSON.
 
-    Scans 5, 15, 25 … are held out. A service scored by --url must not have seen them either.
+    Scans 5, 15, 25 … are held out. A service scored by --url must not have seen them either: fill
+    it with gpom replay FILE --skip-held-out --range-cap-m 20.
     """
+    # what was asked is refused before the work, not after
+    part = parse_share(share)
     fusions = list(dict.fromkeys(fusion or ["bcm"]))
     for name in fusions:
-        Fusion.named(name)  # refuse an unknown rule before the work, not after
-    trial = prepare(file.name, read_scans(file), parse_share(share), seed, far_m)
+        Fusion.named(name)
+    trial = prepare(file.name, read_scans(file), part, seed, far_m)
     track = _on_console(Console(stderr=True))
     with ExitStack() as stack:
         if url is None:
