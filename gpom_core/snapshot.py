@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -206,12 +206,11 @@ class Snapshot:
             for _, m in sorted(self.members.items())
         ]
 
-    def swapped(
-        self,
-        new: Iterable[Member],
-        gone: Iterable[int] = (),
-        calibration: Calibration | None = None,
-    ) -> Snapshot:
+    def with_calibration(self, calibration: Calibration) -> Snapshot:
+        """This map with other probabilities, everywhere; its version stays, so swap it in at once."""
+        return replace(self, calibration=calibration, changed_bounds=self.bounds)
+
+    def swapped(self, new: Iterable[Member], gone: Iterable[int] = ()) -> Snapshot:
         """The next version: `new` experts in place of their old selves, `gone` ones left out."""
         members, sectors = dict(self.members), dict(self.sectors)
         touched: dict[tuple[int, int], dict[int, Member]] = {}
@@ -243,7 +242,7 @@ class Snapshot:
             version=self.version + 1,
             prior_variance=self.prior_variance,
             known_variance_ratio=self.known_variance_ratio,
-            calibration=calibration or self.calibration,
+            calibration=self.calibration,
             members=members,
             sectors=sectors,
             changed_bounds=union(areas),
