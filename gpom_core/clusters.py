@@ -73,7 +73,7 @@ def with_room(clusters: Clusters, extra: int) -> Clusters:
 @compiled
 def add_cluster(clusters: Clusters, x: float, y: float) -> int:
     """A new cluster whose first hit is (x, y). The caller has made room."""
-    c = clusters.size[0]
+    c = int(clusters.size[0])
     clusters.size[0] = c + 1
     clusters.origin[c, 0] = x
     clusters.origin[c, 1] = y
@@ -214,7 +214,7 @@ def length_m(clusters: Clusters, c: int) -> float:
     """Length of the cluster's line, from the spread of its hits."""
     if clusters.moments[c, 0] < 2.0:
         return 0.0
-    return np.sqrt(LENGTH_OF_VARIANCE * principal_axis(clusters.moments[c])[4])
+    return float(np.sqrt(LENGTH_OF_VARIANCE * principal_axis(clusters.moments[c])[4]))
 
 
 @compiled

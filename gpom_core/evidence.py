@@ -132,8 +132,9 @@ class Evidence:
     def _homes_without_return(
         self, beam: _Beams, hit_homes: NDArray[np.int32]
     ) -> NDArray[np.int32]:
-        """Cluster of each beam without return: that of the most similar returning beam, by the
-        segment-segment kernel (section 3.1). A scan without any return founds a cluster.
+        """Cluster of each beam without return: that of the most similar returning beam.
+
+        By the segment-segment kernel (section 3.1). A scan without any return founds a cluster.
         """
         silent, back = np.flatnonzero(~beam.returned), np.flatnonzero(beam.returned)
         if len(back) == 0:
@@ -205,7 +206,8 @@ class Evidence:
         cx, cy, tx, ty, _, _ = lines.principal_axis(moments)
         centre, axis = xy[0] + np.array([cx, cy]), np.array([tx, ty])
         along = (xy - centre) @ axis
-        return centre + np.array([along.min(), along.max()])[:, None] * axis
+        ends: NDArray[np.float64] = centre + np.array([[along.min()], [along.max()]]) * axis
+        return ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,8 +20,10 @@ def compiled(function: _Function) -> _Function:
 
 
 def inlined(function: _Function) -> _Function:
-    """As `compiled`, and copied into its callers: calls that pass many arrays pay for counting
-    references to each, which in the innermost loop over cells costs more than the work.
+    """As `compiled`, and copied into its callers.
+
+    Calls that pass many arrays pay for counting references to each, which in the innermost loop
+    over cells costs more than the work.
     """
     decorate = njit(
         nogil=True, cache=True, error_model="numpy", fastmath={"contract"}, inline="always"

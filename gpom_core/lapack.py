@@ -36,7 +36,7 @@ def _call5(typing_context: Any, address: Any, a: Any, b: Any, c: Any, d: Any, e:
     return signature, generate
 
 
-@njit(cache=True, nogil=True)  # type: ignore[untyped-decorator]
+@njit(cache=True, nogil=True)
 def inverse_spd(k: Any, addresses: Any) -> float:
     """Replace a symmetric positive definite matrix (n, n) by its inverse.
 

@@ -130,7 +130,7 @@ def merge_areas(
     return geometry[:done], total[:done], capped[:done]
 
 
-def observations_of(
+def observations_of(  # noqa: PLR0913 - numbers, all by name
     rows: Rows,
     clusters: Clusters,
     cluster: int,

@@ -49,7 +49,7 @@ def _is_near(shape: NDArray[np.float64], ix: int, iy: int, tile: float, cutoff: 
     dx = max(min(shape[0, 0], shape[1, 0]) - (ix + 1) * tile, dx)
     dy = max(iy * tile - max(shape[0, 1], shape[1, 1]), 0.0)
     dy = max(min(shape[0, 1], shape[1, 1]) - (iy + 1) * tile, dy)
-    return dx * dx + dy * dy < cutoff * cutoff
+    return bool(dx * dx + dy * dy < cutoff * cutoff)
 
 
 @compiled

@@ -40,7 +40,7 @@ class Rows(NamedTuple):
     keys: NDArray[np.int64]
     kind: NDArray[np.uint8]
     geometry: NDArray[np.float64]
-    count: NDArray[np.float64]
+    count: NDArray[np.float64]  # type: ignore[assignment] # nobody counts values of this tuple
     near: NDArray[np.float64]
     owner: NDArray[np.int32]
     before: NDArray[np.int32]
@@ -94,7 +94,7 @@ def _index(rows: Rows, used: int) -> None:
 @compiled
 def add_unindexed(rows: Rows, key: int) -> int:
     """A new row that only its tile will find. The caller has made room."""
-    row = rows.size[0]
+    row = int(rows.size[0])
     rows.size[0] = row + 1
     rows.keys[row, 0] = key
     rows.keys[row, 1] = 0
@@ -120,14 +120,14 @@ def _slot(slots: Any, keys: Any, a: int, b: int) -> int:
     while True:
         entry = slots[slot]
         if entry == NONE or (keys[entry, 0] == a and keys[entry, 1] == b):
-            return slot
+            return int(slot)
         slot = (slot + 1) & mask
 
 
 @inlined
 def find(slots: Any, keys: Any, a: int, b: int) -> int:
     """Entry with key (a, b), or NONE."""
-    return slots[_slot(slots, keys, a, b)]
+    return int(slots[_slot(slots, keys, a, b)])
 
 
 @inlined

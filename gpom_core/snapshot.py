@@ -108,7 +108,7 @@ def as_points(points: ArrayLike) -> NDArray[np.float64]:
     """
     try:
         array = np.asarray(points, np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise InvalidQueryError(f"points are not numbers: {error}") from None
     if array.ndim == 1 and array.size == 0:
         array = array.reshape(0, 2)
@@ -133,7 +133,7 @@ class Snapshot:
     version: int = 0
     prior_variance: float = 1.0
     known_variance_ratio: float = 0.8
-    calibration: Calibration = Calibration()
+    calibration: Calibration = field(default_factory=Calibration)
     members: Mapping[int, Member] = field(default_factory=dict)
     sectors: Mapping[tuple[int, int], Sector] = field(default_factory=dict)
     changed_bounds: Bounds | None = None
@@ -207,7 +207,7 @@ class Snapshot:
         ]
 
     def with_calibration(self, calibration: Calibration) -> Snapshot:
-        """This map with other probabilities, everywhere; its version stays, so swap it in at once."""
+        """This map with other probabilities; its version stays, so swap it in at once."""
         return replace(self, calibration=calibration, changed_bounds=self.bounds)
 
     def swapped(self, new: Iterable[Member], gone: Iterable[int] = ()) -> Snapshot:
@@ -255,7 +255,12 @@ def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:
     Raises:
         InvalidQueryError: as `Snapshot.grid`.
     """
-    if len(bbox) != 4 or not np.isfinite(bbox).all() or bbox[0] >= bbox[2] or bbox[1] >= bbox[3]:
+    if (
+        np.shape(bbox) != (4,)
+        or not np.isfinite(bbox).all()
+        or bbox[0] >= bbox[2]
+        or bbox[1] >= bbox[3]
+    ):
         raise InvalidQueryError(
             f"bbox {tuple(bbox)} must be xmin, ymin, xmax, ymax in metres with min < max"
         )
