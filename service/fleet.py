@@ -1,0 +1,79 @@
+"""The robots that were seen: what arrived from each, where it is, whether it is there."""
+
+import threading
+from dataclasses import dataclass, field, replace
+
+from gpom_core.scan import Pose2D
+
+
+@dataclass(frozen=True, slots=True)
+class RobotStatus:
+    """One robot at one moment.
+
+    Attributes:
+        id: name of the robot, from the key its scans come under.
+        scans: accepted ones.
+        lost: scans that its sequence numbers say exist, but that never came.
+        last_seen_unix_s: when its last scan came; None before the first.
+        pose: of the sensor that sent the last scan, in the map frame; None before the first.
+        alive: whether its liveliness token is up.
+    """
+
+    id: str
+    scans: int = 0
+    lost: int = 0
+    last_seen_unix_s: float | None = None
+    pose: Pose2D | None = None
+    alive: bool = False
+
+
+@dataclass(slots=True)
+class Fleet:
+    """All robots, by name; safe to use from any thread. At most `robots_max` are remembered."""
+
+    robots_max: int
+    _robots: dict[str, RobotStatus] = field(default_factory=dict, init=False)
+    _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
+
+    def has_room(self, robot: str) -> bool:
+        """Tell whether scans of this robot can be taken: it is known, or there is room."""
+        with self._lock:
+            return robot in self._robots or len(self._robots) < self.robots_max
+
+    def saw_scan(self, robot: str, pose: Pose2D, lost: int, unix_s: float) -> RobotStatus | None:
+        """Note an accepted scan.
+
+        Returns:
+            The robot if it is new, else None.
+        """
+        with self._lock:
+            before = self._robots.get(robot, RobotStatus(robot))
+            self._robots[robot] = now = replace(
+                before,
+                scans=before.scans + 1,
+                lost=before.lost + lost,
+                last_seen_unix_s=unix_s,
+                pose=pose,
+            )
+            return now if before.scans == 0 else None
+
+    def set_alive(self, robot: str, alive: bool) -> RobotStatus | None:
+        """Note that a robot came or went.
+
+        Returns:
+            The robot if that is news, else None.
+        """
+        with self._lock:
+            before = self._robots.get(robot)
+            if before is None and (not alive or len(self._robots) >= self.robots_max):
+                return None
+            if before is not None and before.alive == alive:
+                return None
+            now = replace(before or RobotStatus(robot), alive=alive)
+            self._robots[robot] = now
+            return now
+
+    def robots(self) -> tuple[RobotStatus, ...]:
+        """All robots, by name."""
+        with self._lock:
+            return tuple(self._robots[name] for name in sorted(self._robots))

@@ -1,0 +1,72 @@
+"""The web application. Nothing lives at module level: two apps in one process do not meet."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+
+from service.http import errors, grids, pages, queries, statuses, streams
+from service.http.observe import Observe
+from service.map_service import MapService, Ports
+from service.settings import Settings
+from service.zenoh_source import ZenohSource
+
+
+def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
+    """Build the application; its lifespan starts and stops the service in `app.state.service`.
+
+    Args:
+        settings: of everything.
+        ports: what to connect to; without it zenoh as in the settings, and no journal.
+    """
+    service = MapService(settings, ports or Ports(ZenohSource(settings.zenoh)))
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        await asyncio.to_thread(service.start)
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(service.stop)
+
+    app = FastAPI(
+        title="gpom",
+        version=_version(),
+        summary="One live, continuous occupancy map of a site, with its uncertainty",
+        lifespan=lifespan,
+        docs_url=None,  # they load scripts from elsewhere, and sites are often offline
+        redoc_url=None,
+        responses=errors.RESPONSES,
+    )
+    app.state.service = service
+    app.add_middleware(Observe, metrics=service.metrics)
+    errors.install(app)
+    for module in (queries, grids, statuses, streams, pages):
+        app.include_router(module.router)
+    _describe_problems(app)
+    return app
+
+
+def _describe_problems(app: FastAPI) -> None:
+    def openapi() -> dict[str, Any]:
+        if app.openapi_schema is None:
+            schema = get_openapi(
+                title=app.title, version=app.version, summary=app.summary, routes=app.routes
+            )
+            schemas = schema.setdefault("components", {}).setdefault("schemas", {})
+            schemas["ProblemDetails"] = errors.ProblemDetails.model_json_schema()
+            app.openapi_schema = schema
+        return app.openapi_schema
+
+    app.openapi = openapi  # type: ignore[method-assign]
+
+
+def _version() -> str:
+    try:
+        return version("gpom")
+    except PackageNotFoundError:
+        return "0"

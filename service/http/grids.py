@@ -1,0 +1,95 @@
+"""Rasters: GET /v1/grid."""
+
+import asyncio
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Query, Response
+
+from gpom_core.errors import InvalidQueryError
+from gpom_core.snapshot import Bounds, Prediction, Snapshot, grid_shape
+from service import nav2, render
+from service.errors import PayloadTooLargeError
+from service.http.context import VERSION_HEADER, Service
+from service.points import NPY, Fusion, write_npy
+
+router = APIRouter(tags=["raster"])
+
+Format = Literal["png", "npy", "nav2"]
+_MEDIA: dict[Format, str] = {"png": "image/png", "npy": NPY, "nav2": "application/zip"}
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_ANSWER: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "One cell a pixel, evaluated at its centre. npy: float64 (rows, columns), "
+        "row 0 at ymin. png: ymax on top. nav2: zip of PGM and YAML for map_server.",
+        "content": dict.fromkeys(_MEDIA.values(), _BINARY),
+        "headers": {VERSION_HEADER: {"schema": {"type": "integer"}}},
+    }
+}
+
+
+@router.get("/v1/grid", responses=_ANSWER, response_class=Response)
+async def grid(
+    service: Service,
+    bbox: Annotated[
+        str | None,
+        Query(
+            description="xmin,ymin,xmax,ymax in m; without it the whole map",
+            examples=["-10,-5,10,5"],
+        ),
+    ] = None,
+    resolution: Annotated[float, Query(description="edge of a cell in m")] = 0.1,
+    layer: render.Layer = "occupancy",
+    format: Format = "png",  # noqa: A002 - the name in the URL
+    fusion: Fusion = "bcm",
+) -> Response:
+    """Draw a part of the map."""
+    snapshot = service.state.snapshot
+    box = _bounds(bbox, snapshot)
+    _check_size(box, resolution, service.settings.http.grid_cells_max)
+
+    def draw() -> bytes:
+        cells = snapshot.grid(box, resolution, fusion)
+        return _encode(cells, snapshot, box, resolution, layer, format)
+
+    content = await asyncio.wrap_future(service.queries.submit(draw))
+    headers = {VERSION_HEADER: str(snapshot.version)}
+    return Response(content, media_type=_MEDIA[format], headers=headers)
+
+
+def _encode(
+    cells: Prediction,
+    snapshot: Snapshot,
+    box: Bounds,
+    resolution_m: float,
+    layer: render.Layer,
+    form: Format,
+) -> bytes:
+    if form == "nav2":
+        return nav2.archive(cells, box, resolution_m)
+    if form == "npy":
+        return write_npy(getattr(cells, layer).astype("<f8"))
+    return render.png(cells, layer, snapshot.prior_variance)
+
+
+def _bounds(text: str | None, snapshot: Snapshot) -> Bounds:
+    if text is None:
+        if snapshot.bounds is None:
+            raise InvalidQueryError("the map is empty, so it has no bounds; name a bbox")
+        return snapshot.bounds
+    try:
+        xmin, ymin, xmax, ymax = map(float, text.split(","))
+    except ValueError as error:
+        message = f"bbox is {text!r}; expected xmin,ymin,xmax,ymax in m"
+        raise InvalidQueryError(message) from error
+    return xmin, ymin, xmax, ymax
+
+
+def _check_size(box: Bounds, resolution_m: float, cells_max: int) -> None:
+    rows, columns = grid_shape(box, resolution_m)
+    if rows * columns > cells_max:
+        coarser_m = resolution_m * (rows * columns / cells_max) ** 0.5
+        message = (
+            f"{columns} x {rows} cells; at most {cells_max} are allowed: ask for a smaller bbox or "
+            f"a resolution from {coarser_m:.3g} m"
+        )
+        raise PayloadTooLargeError(message)

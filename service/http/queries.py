@@ -1,0 +1,101 @@
+"""Questions about points: POST and GET /v1/query."""
+
+import asyncio
+from typing import Annotated, Any
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from pydantic import FiniteFloat
+
+from service.errors import UnsupportedMediaError
+from service.http.context import VERSION_HEADER, Service, agree, media_type, read_body
+from service.points import (
+    JSON,
+    NPY,
+    Fusion,
+    PointsAnswer,
+    PointsRequest,
+    predict,
+    read_request,
+    write_answer,
+)
+
+router = APIRouter(tags=["query"])
+
+_BINARY = {"schema": {"type": "string", "format": "binary"}}
+_ANSWER: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "One entry for each point, in the order asked; npy is float64 (N, 4) with "
+        "columns occupancy, mean, variance, known",
+        "model": PointsAnswer,
+        "content": {
+            JSON: {
+                "example": {
+                    "map_version": 42,
+                    "occupancy": [0.03, 0.5],
+                    "mean": [-0.94, 0.0],
+                    "variance": [0.02, 1.0],
+                    "known": [True, False],
+                }
+            },
+            NPY: _BINARY,
+        },
+        "headers": {VERSION_HEADER: {"schema": {"type": "integer"}}},
+    }
+}
+_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            JSON: {
+                "schema": PointsRequest.model_json_schema(),
+                "example": {"points": [[0.0, 0.0], [1.5, -2.0]], "fusion": "bcm"},
+            },
+            NPY: {"schema": {**_BINARY["schema"], "description": "npy file, float64 (N, 2)"}},
+        },
+    }
+}
+
+FusionQuery = Annotated[Fusion | None, Query(description="how experts are merged; bcm")]
+
+
+@router.post("/v1/query", responses=_ANSWER, openapi_extra=_BODY, response_class=Response)
+async def query_points(request: Request, service: Service, fusion: FusionQuery = None) -> Response:
+    """Ask about many points; answers come in the form of the question unless Accept differs."""
+    asked_in = media_type(request)
+    if asked_in not in {JSON, NPY}:
+        message = f"Content-Type is {asked_in or 'missing'}; expected {JSON} or {NPY}"
+        raise UnsupportedMediaError(message)
+    answer_in = agree(request, (asked_in, NPY if asked_in == JSON else JSON))
+    body = await read_body(request, service.settings.http.body_bytes_max)
+    snapshot = service.state.snapshot
+
+    def answer() -> bytes:
+        question = read_request(body, asked_in, fusion)
+        prediction = predict(snapshot, question, service.settings.http.query_points_max)
+        return write_answer(prediction, snapshot.version, answer_in)
+
+    content = await asyncio.wrap_future(service.queries.submit(answer))
+    return _respond(content, answer_in, snapshot.version)
+
+
+@router.get("/v1/query", responses=_ANSWER, response_class=Response)
+async def query_point(
+    request: Request,
+    service: Service,
+    x: Annotated[FiniteFloat, Query(description="m in the map frame", examples=[1.5])],
+    y: Annotated[FiniteFloat, Query(description="m in the map frame", examples=[-2.0])],
+    fusion: FusionQuery = None,
+) -> Response:
+    """Ask about one point."""
+    answer_in = agree(request, (JSON, NPY))
+    snapshot = service.state.snapshot
+    # One point is answered here and now: faster than a trip through the pool.
+    prediction = snapshot.query(np.array([[x, y]]), fusion or "bcm")
+    return _respond(
+        write_answer(prediction, snapshot.version, answer_in), answer_in, snapshot.version
+    )
+
+
+def _respond(content: bytes, media: str, map_version: int) -> Response:
+    return Response(content, media_type=media, headers={VERSION_HEADER: str(map_version)})

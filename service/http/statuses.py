@@ -1,0 +1,185 @@
+"""How the map and the service are: status, experts, flush, health, metrics."""
+
+import asyncio
+from typing import Annotated, Literal
+
+from fastapi import APIRouter, Body, Response
+from prometheus_client import CONTENT_TYPE_LATEST
+from pydantic import BaseModel, ConfigDict, Field
+
+from gpom_core.errors import InvalidQueryError
+from gpom_core.snapshot import Bounds
+from service.errors import FlushTimeoutError, NotReadyError
+from service.http.context import Service
+from service.map_service import MapService
+
+router = APIRouter(tags=["status"])
+
+
+class Robot(BaseModel):
+    """One robot that was seen."""
+
+    id: str = Field(examples=["robot-1"])
+    scans: int = Field(description="accepted", examples=[1200])
+    lost: int = Field(description="told by gaps in the sequence numbers", examples=[3])
+    last_seen: float | None = Field(description="Unix time in s of its last scan")
+    pose: tuple[float, float, float] | None = Field(
+        description="x m, y m, yaw rad of the sensor at its last scan", examples=[[1.0, 2.0, 0.5]]
+    )
+    alive: bool = Field(description="whether its liveliness token is up")
+
+
+class Status(BaseModel):
+    """The map at one moment."""
+
+    map_version: int = Field(examples=[42])
+    scans_received: int = Field(examples=[1203])
+    scans_integrated: int = Field(examples=[1200])
+    experts: int = Field(examples=[310])
+    dirty_experts: int = Field(description="with evidence not in the answers yet", examples=[4])
+    observations: int = Field(examples=[15000])
+    robots: list[Robot]
+    bounds: Bounds | None = Field(
+        description="xmin, ymin, xmax, ymax of the evidence in m; null while there is none",
+        examples=[[-12.0, -7.5, 30.0, 22.0]],
+    )
+
+
+class Expert(BaseModel):
+    """The Gaussian process of one cluster, as trained last."""
+
+    cluster_id: int
+    line: tuple[tuple[float, float], tuple[float, float]] = Field(description="its ends, m")
+    observations: int
+    hits: int
+    length_scale_m: float
+    signal_std: float
+    revision: int = Field(description="of the evidence it was trained on")
+    dirty: bool = Field(description="newer evidence waits to be trained")
+
+
+class SetAside(BaseModel):
+    """A cluster whose training failed again and again; tried again when its evidence changes."""
+
+    cluster_id: int
+    revision: int
+    error: str
+
+
+class Experts(BaseModel):
+    """All experts of one version."""
+
+    map_version: int
+    experts: list[Expert]
+    quarantined: list[SetAside]
+
+
+class FlushRequest(BaseModel):
+    """How long to wait."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    timeout_s: float = Field(30.0, gt=0.0, description="then the answer is 504", examples=[30.0])
+
+
+class Health(BaseModel):
+    """It works; otherwise there is a problem, and `troubles` in it tell which."""
+
+    status: Literal["ok"] = "ok"
+
+
+@router.get("/v1/status")
+async def status(service: Service) -> Status:
+    """Tell how much is in the map, and which robots feed it."""
+    return _status(service)
+
+
+@router.get("/v1/experts")
+def experts(service: Service) -> Experts:
+    """List the experts that answer questions."""
+    state = service.state
+    return Experts(
+        map_version=state.snapshot.version,
+        experts=[
+            Expert(
+                cluster_id=expert.cluster_id,
+                line=expert.line,
+                observations=expert.observations,
+                hits=expert.hits,
+                length_scale_m=expert.length_scale_m,
+                signal_std=expert.signal_std,
+                revision=expert.revision,
+                dirty=expert.cluster_id in state.dirty,
+            )
+            for expert in state.snapshot.experts()
+        ],
+        quarantined=[
+            SetAside(cluster_id=q.cluster_id, revision=q.revision, error=q.error)
+            for q in state.quarantined
+        ],
+    )
+
+
+@router.post("/v1/flush")
+async def flush(service: Service, request: Annotated[FlushRequest | None, Body()] = None) -> Status:
+    """Wait until all received so far is integrated and trained."""
+    timeout_s = (request or FlushRequest()).timeout_s
+    allowed_s = service.settings.http.flush_timeout_max_s
+    if timeout_s > allowed_s:
+        message = f"timeout_s is {timeout_s:g}; at most {allowed_s:g} is allowed"
+        raise InvalidQueryError(message)
+    try:
+        async with asyncio.timeout(timeout_s):
+            await asyncio.wrap_future(service.flush())
+    except TimeoutError as error:
+        state = service.state
+        message = (
+            f"after {timeout_s:g} s {service.scans_waiting} scans are not integrated and "
+            f"{len(state.dirty)} experts are not trained; what is missing goes on being done"
+        )
+        raise FlushTimeoutError(message) from error
+    return _status(service)
+
+
+@router.get("/healthz")
+async def healthz() -> Health:
+    """Tell that the process answers."""
+    return Health()
+
+
+@router.get("/readyz")
+async def readyz(service: Service) -> Health:
+    """Tell whether scans can arrive, be stored, integrated and answered from, and if not why."""
+    if troubles := service.troubles():
+        raise NotReadyError(troubles)
+    return Health()
+
+
+@router.get("/metrics", response_class=Response)
+async def metrics(service: Service) -> Response:
+    """Give Prometheus its numbers."""
+    return Response(service.metrics.exposition(), media_type=CONTENT_TYPE_LATEST)
+
+
+def _status(service: MapService) -> Status:
+    state = service.state
+    return Status(
+        map_version=state.snapshot.version,
+        scans_received=service.scans_received,
+        scans_integrated=state.scans_integrated,
+        experts=state.experts,
+        dirty_experts=len(state.dirty),
+        observations=state.observations,
+        robots=[
+            Robot(
+                id=robot.id,
+                scans=robot.scans,
+                lost=robot.lost,
+                last_seen=robot.last_seen_unix_s,
+                pose=robot.pose,
+                alive=robot.alive,
+            )
+            for robot in service.fleet.robots()
+        ],
+        bounds=state.snapshot.bounds,
+    )

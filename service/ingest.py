@@ -1,0 +1,153 @@
+"""From bytes to stored scans: queue, decode, judge, store, tell the robots, hand on to the map."""
+
+import logging
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from gpom_core import wire
+from gpom_core.errors import InvalidScanError
+from service.clock import Clock
+from service.errors import JournalError
+from service.events import EventBus, RobotChanged
+from service.fleet import Fleet
+from service.journal import Journal, ScanRecord
+from service.metrics import Metrics
+from service.scan_queue import ScanQueue
+from service.sequences import Admission, Cursor, SensorKey, SequenceBook, Verdict
+from service.settings import IngestSettings
+from service.source import Envelope
+from service.worker import Worker
+
+logger = logging.getLogger(__name__)
+
+Acknowledge = Callable[[Mapping[SensorKey, Cursor]], None]
+"""Tells robots up to which scan everything is durable."""
+
+
+def acknowledge_nothing(cursors: Mapping[SensorKey, Cursor]) -> None:
+    """For a journal that is not durable: there is nothing to promise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Stored scans on their way into the map; `ticket` is the last one of the queue it covers."""
+
+    records: Sequence[ScanRecord]
+    ticket: int
+
+
+class Ingest:
+    """Takes scans in. `on_scan` is called by sources, all else runs in one thread of its own."""
+
+    def __init__(
+        self,
+        settings: IngestSettings,
+        *,
+        journal: Journal,
+        hand_on: Callable[[Batch], None],
+        fleet: Fleet,
+        events: EventBus,
+        metrics: Metrics,
+        clock: Clock,
+        acknowledge: Acknowledge = acknowledge_nothing,
+    ) -> None:
+        self.queue = ScanQueue(settings.policy, settings.queue_scans_max, settings.queue_bytes_max)
+        self.worker = Worker("ingest", self._step, self._count_error)
+        self._settings = settings
+        self._journal = journal
+        self._hand_on = hand_on
+        self._acknowledge = acknowledge
+        self._fleet = fleet
+        self._events = events
+        self._metrics = metrics
+        self._clock = clock
+        self._book = SequenceBook()
+        self._journal_trouble: str | None = None
+
+    def on_scan(self, robot: str, sensor: str, payload: bytes) -> None:
+        """Take a scan from a source; blocks while the queue is full, if that is the policy."""
+        self.queue.put(Envelope(robot, sensor, payload, self._clock.unix_s()))
+
+    def trouble(self) -> str | None:
+        """Why scans cannot be taken in; None when they can."""
+        return self.worker.trouble() or self._journal_trouble
+
+    def _step(self) -> bool:
+        envelopes, ticket = self.queue.take(self._settings.batch_scans_max)
+        if not envelopes:
+            return False
+        records: list[ScanRecord] = []
+        try:
+            records = self._accept(envelopes)
+        finally:
+            # Whatever happens, the ticket travels on: a flush waits for it.
+            self._hand_on(Batch(records, ticket))
+        return True
+
+    def _accept(self, envelopes: Sequence[Envelope]) -> list[ScanRecord]:
+        refused: Counter[str] = Counter()
+        admission = self._book.begin()
+        records: list[ScanRecord] = []
+        lost: list[int] = []
+        for envelope in envelopes:
+            record = self._decode(envelope, refused)
+            if record is None:
+                continue
+            judgement = admission.judge(SensorKey(record.robot, record.sensor), record.scan)
+            if judgement.verdict is Verdict.STALE:
+                refused["stale"] += 1
+                continue
+            records.append(record)
+            lost.append(judgement.lost)
+        if not self._store(records, admission):
+            refused["not_stored"] += len(records)
+            records = []
+        for record, missing in zip(records, lost, strict=False):
+            self._note(record, missing)
+        for reason, count in refused.items():
+            self._metrics.scans_refused.labels(reason).inc(count)
+        return records
+
+    def _decode(self, envelope: Envelope, refused: Counter[str]) -> ScanRecord | None:
+        if not self._fleet.has_room(envelope.robot):
+            refused["too_many_robots"] += 1
+            return None
+        try:
+            scan = wire.decode(envelope.payload, max_beams=self._settings.beams_max)
+        except InvalidScanError as error:
+            refused[error.reason] += 1
+            logger.debug("scan of %s/%s refused: %s", envelope.robot, envelope.sensor, error)
+            return None
+        return ScanRecord(
+            envelope.robot, envelope.sensor, envelope.payload, envelope.received_unix_s, scan
+        )
+
+    def _store(self, records: Sequence[ScanRecord], admission: Admission) -> bool:
+        """Commit, remember, acknowledge: in this order, so nothing is promised that can be lost."""
+        if not records:
+            return True
+        try:
+            with self._metrics.commit_seconds.time():
+                self._journal.append(records)
+        except JournalError as error:
+            if self._journal_trouble is None:
+                logger.exception("scans cannot be stored, and are refused")
+            self._journal_trouble = f"scans cannot be stored: {error}"
+            return False
+        self._journal_trouble = None
+        admission.commit()
+        self._acknowledge(admission.cursors)
+        return True
+
+    def _note(self, record: ScanRecord, lost: int) -> None:
+        if lost:
+            self._metrics.scans_lost.inc(lost)
+        newcomer = self._fleet.saw_scan(
+            record.robot, record.scan.pose, lost, record.received_unix_s
+        )
+        if newcomer is not None:
+            self._events.publish(RobotChanged(newcomer.id, newcomer.alive))
+
+    def _count_error(self, thread: str) -> None:
+        self._metrics.loop_errors.labels(thread).inc()

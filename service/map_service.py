@@ -1,0 +1,199 @@
+"""The service without its web interface: the parts, put together, started and stopped in order."""
+
+import json
+import logging
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import threadpoolctl
+
+from gpom_core.errors import GpomError
+from gpom_core.mapper import Mapper
+from service.clock import Clock, SystemClock
+from service.events import EventBus, RobotChanged
+from service.fleet import Fleet
+from service.ingest import Acknowledge, Ingest, acknowledge_nothing
+from service.journal import Journal, NoJournal
+from service.mapping import MapKeeper, MapState
+from service.metrics import Metrics
+from service.points import predict, read_request, write_answer
+from service.problems import problem_of
+from service.query_desk import QueryDesk
+from service.settings import Settings
+from service.source import RemoteQuery, RemoteReply, ScanSource
+
+logger = logging.getLogger(__name__)
+
+_DRAIN_S = 1.5  # what was received before the end is stored and integrated, if that is quick
+
+
+@dataclass(slots=True)
+class Ports:
+    """What a service is connected to; the defaults reach nothing outside the process."""
+
+    source: ScanSource
+    journal: Journal = field(default_factory=NoJournal)
+    clock: Clock = field(default_factory=SystemClock)
+    acknowledge: Acknowledge = acknowledge_nothing
+
+
+class MapService:
+    """One live map of one site. Start it once, stop it once."""
+
+    def __init__(self, settings: Settings, ports: Ports) -> None:
+        self.settings = settings
+        self.metrics = Metrics()
+        self.events = EventBus(settings.http.event_clients_max)
+        self.fleet = Fleet(settings.ingest.robots_max)
+        self.queries = QueryDesk(
+            settings.http.query_threads,
+            settings.http.queries_waiting_max,
+            settings.http.retry_after_s,
+        )
+        self._ports = ports
+        self._pool = ThreadPoolExecutor(settings.training.workers, thread_name_prefix="gpom-train")
+        self._mapping = MapKeeper(
+            Mapper(settings.map),
+            self._pool,
+            settings.map,
+            ingest=settings.ingest,
+            training=settings.training,
+            events=self.events,
+            metrics=self.metrics,
+            clock=ports.clock,
+        )
+        self._ingest = Ingest(
+            settings.ingest,
+            journal=ports.journal,
+            hand_on=self._mapping.offer,
+            fleet=self.fleet,
+            events=self.events,
+            metrics=self.metrics,
+            clock=ports.clock,
+            acknowledge=ports.acknowledge,
+        )
+        self._export_metrics()
+
+    @property
+    def state(self) -> MapState:
+        """The map as it is now; hold on to it to answer consistently."""
+        return self._mapping.state
+
+    @property
+    def scans_received(self) -> int:
+        """Scans that arrived, whatever became of them."""
+        return self._ingest.queue.received
+
+    @property
+    def scans_waiting(self) -> int:
+        """Scans on their way into the map."""
+        return len(self._ingest.queue) + self._mapping.backlog
+
+    @property
+    def endpoints(self) -> tuple[str, ...]:
+        """Where robots can send scans."""
+        return self._ports.source.endpoints()
+
+    def start(self) -> None:
+        """Start the threads, then let scans in.
+
+        Raises:
+            SourceError: scans cannot be let in; everything is stopped again.
+        """
+        # Small factorisations get 10-20 times slower when each tries to use all cores.
+        threadpoolctl.threadpool_limits(1)
+        self._mapping.worker.start()
+        self._ingest.worker.start()
+        try:
+            self._ports.source.open(self)
+        except BaseException:
+            self.stop()
+            raise
+
+    def stop(self) -> None:
+        """Let no more scans in, finish what is quick to finish, end every thread."""
+        self.events.close()
+        self._ingest.queue.close()  # first, so that a blocked source lets go
+        self._ports.source.close()
+        drained = self._ingest.worker.join(_DRAIN_S)
+        self._mapping.stop()
+        if not (self._ingest.worker.join(_DRAIN_S) and drained):
+            logger.warning("some scans that were received are not stored")
+        self._mapping.worker.join(_DRAIN_S)
+        self.queries.close()
+        self._pool.shutdown(wait=False, cancel_futures=True)
+        self._ports.journal.close()
+
+    def troubles(self) -> list[str]:
+        """Why the service is not ready; empty when it is."""
+        parts = (self._ports.source, self._ingest, self._mapping)
+        return [trouble for part in parts if (trouble := part.trouble()) is not None]
+
+    def flush(self) -> "Future[None]":
+        """Give a future that is done once all received so far is integrated and trained."""
+        return self._mapping.flush(self._ingest.queue.entered)
+
+    def on_scan(self, robot: str, sensor: str, payload: bytes) -> None:
+        """Take a scan; see `service.source.SourceSink`."""
+        self._ingest.on_scan(robot, sensor, payload)
+
+    def on_presence(self, robot: str, alive: bool) -> None:
+        """Note that a robot came or went."""
+        news = self.fleet.set_alive(robot, alive)
+        if news is not None:
+            logger.info("robot=%s alive=%s", robot, alive)
+            self.events.publish(RobotChanged(robot, alive))
+
+    def on_query(self, query: RemoteQuery) -> None:
+        """Answer a question that came by the source, from the pool for heavy queries."""
+        try:
+            self.queries.submit(lambda: query.reply(self._answer(query)))
+        except GpomError as error:
+            query.reply(self._refuse(error))
+
+    def _answer(self, query: RemoteQuery) -> RemoteReply:
+        try:
+            # zenoh calls bytes of no stated type application/octet-stream or zenoh/bytes.
+            request = read_request(query.body, query.media_type, query.fusion)
+            snapshot = self.state.snapshot
+            prediction = predict(snapshot, request, self.settings.http.query_points_max)
+            body = write_answer(prediction, snapshot.version, query.media_type)
+        except GpomError as error:
+            return self._refuse(error)
+        except Exception as error:  # the asker must not wait for its timeout
+            logger.exception("a remote query failed")
+            return self._refuse(error)
+        self.metrics.remote_queries.labels("answered").inc()
+        return RemoteReply(body, query.media_type)
+
+    def _refuse(self, error: Exception) -> RemoteReply:
+        self.metrics.remote_queries.labels("refused").inc()
+        problem = problem_of(error)
+        body = json.dumps(problem.document()).encode()
+        return RemoteReply(body, problem.MEDIA_TYPE, is_error=True)
+
+    def _export_metrics(self) -> None:
+        metrics, queue = self.metrics, self._ingest.queue
+        metrics.count("gpom_scans_received", "scans that arrived", lambda: queue.received)
+        metrics.count(
+            "gpom_scans_dropped", "scans the full queue threw away", lambda: queue.dropped
+        )
+        metrics.count(
+            "gpom_scans_integrated",
+            "scans whose evidence is in the map",
+            lambda: self.state.scans_integrated,
+        )
+        metrics.gauge("gpom_queue_scans", "received, not yet decoded", lambda: len(queue))
+        metrics.gauge(
+            "gpom_backlog_scans", "stored, not yet integrated", lambda: self._mapping.backlog
+        )
+        metrics.gauge("gpom_map_version", "version", lambda: self.state.snapshot.version)
+        metrics.gauge("gpom_experts", "experts", lambda: self.state.experts)
+        metrics.gauge("gpom_dirty_experts", "to be trained", lambda: len(self.state.dirty))
+        metrics.gauge("gpom_quarantined_experts", "set aside", lambda: len(self.state.quarantined))
+        metrics.gauge("gpom_observations", "of all experts", lambda: self.state.observations)
+        metrics.gauge("gpom_robots", "that were seen", lambda: len(self.fleet.robots()))
+        metrics.gauge("gpom_event_clients", "open event streams", lambda: self.events.clients)
+        metrics.gauge(
+            "gpom_queries", "heavy queries, running or waiting", lambda: self.queries.taken
+        )

@@ -1,0 +1,84 @@
+"""Errors as RFC 9457 problem details: one table from exception to status, for HTTP and zenoh."""
+
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from typing import Any, ClassVar
+
+from gpom_core.errors import ConfigurationError, GpomError, InvalidQueryError, InvalidScanError
+from gpom_core.expert import TrainingError
+from service.errors import (
+    BusyError,
+    FlushTimeoutError,
+    JournalError,
+    NotAcceptableError,
+    NotReadyError,
+    PayloadTooLargeError,
+    SourceError,
+    StoppingError,
+    UnsupportedMediaError,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What all problems of one kind share."""
+
+    status: HTTPStatus
+    name: str
+    title: str
+
+
+KINDS: dict[type[GpomError], Kind] = {
+    GpomError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "The service failed"),
+    BusyError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "busy", "Too much at once"),
+    ConfigurationError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "configuration", "Bad settings"),
+    FlushTimeoutError: Kind(HTTPStatus.GATEWAY_TIMEOUT, "flush-timeout", "Not done in time"),
+    InvalidQueryError: Kind(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-query", "Invalid query"),
+    InvalidScanError: Kind(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-scan", "Invalid scan"),
+    JournalError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "journal", "Scans cannot be stored"),
+    NotAcceptableError: Kind(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", "No such form of answer"),
+    NotReadyError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "not-ready", "Not ready"),
+    PayloadTooLargeError: Kind(
+        HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too-large", "Request too large"
+    ),
+    SourceError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "source", "Scans cannot arrive"),
+    StoppingError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "stopping", "Shutting down"),
+    TrainingError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "training", "Training failed"),
+    UnsupportedMediaError: Kind(
+        HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media", "Media type not understood"
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One problem, as RFC 9457 wants it told."""
+
+    MEDIA_TYPE: ClassVar[str] = "application/problem+json"
+
+    kind: Kind
+    detail: str
+    extensions: dict[str, Any] = field(default_factory=dict)
+    headers: dict[str, str] = field(default_factory=dict)
+
+    def document(self) -> dict[str, Any]:
+        """The members of the problem details object."""
+        return {
+            "type": f"urn:gpom:problem:{self.kind.name}",
+            "title": self.kind.title,
+            "status": int(self.kind.status),
+            "detail": self.detail,
+            **self.extensions,
+        }
+
+
+def problem_of(error: BaseException) -> Problem:
+    """Describe an error; what was not raised on purpose says nothing about the inside."""
+    if not isinstance(error, GpomError):
+        return Problem(KINDS[GpomError], "unexpected error; the log of the service has the cause")
+    kind = next(KINDS[cls] for cls in type(error).__mro__ if cls in KINDS)
+    if isinstance(error, BusyError):
+        return Problem(kind, str(error), headers={"Retry-After": str(error.retry_after_s)})
+    if isinstance(error, NotReadyError):
+        return Problem(kind, str(error), {"troubles": error.troubles})
+    return Problem(kind, str(error))

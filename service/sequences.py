@@ -1,0 +1,86 @@
+"""Which scans of a stream are new, which were seen before, and how many never came.
+
+A stream is one run (`boot`) of one sensor of one robot; its scans are numbered from 1.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from gpom_core.scan import Scan
+
+
+class SensorKey(NamedTuple):
+    """One sensor of one robot."""
+
+    robot: str
+    sensor: str
+
+
+class Cursor(NamedTuple):
+    """The last scan that was accepted from a sensor. Ordered as robots produce scans."""
+
+    boot: int
+    seq: int
+
+
+class Verdict(Enum):
+    """What becomes of a scan."""
+
+    NEW = "new"
+    STALE = "stale"  # seen before, or overtaken by a later one of the same sensor
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """A verdict, and how many scans of the stream are missing just before this one."""
+
+    verdict: Verdict
+    lost: int = 0
+
+
+class SequenceBook:
+    """The cursor of every sensor. Owned by one thread.
+
+    A scan numbered 0 belongs to no stream and is always new. The first scan ever of a sensor
+    may have any number, since the robot may have been running before the service was.
+    """
+
+    def __init__(self) -> None:
+        self._cursors: dict[SensorKey, Cursor] = {}
+
+    def begin(self) -> "Admission":
+        """Judge a batch of scans; nothing is remembered until it is committed."""
+        return Admission(self._cursors)
+
+
+class Admission:
+    """A batch that is being judged. If it cannot be stored, drop it: the book is unchanged."""
+
+    def __init__(self, cursors: dict[SensorKey, Cursor]) -> None:
+        self._book = cursors
+        self._pending: dict[SensorKey, Cursor] = {}
+
+    @property
+    def cursors(self) -> Mapping[SensorKey, Cursor]:
+        """What the batch moves, to be acknowledged once it is durable."""
+        return self._pending
+
+    def judge(self, key: SensorKey, scan: Scan) -> Judgement:
+        """Tell whether a scan is new, seen from all before it in the book and in this batch."""
+        if scan.seq == 0:
+            return Judgement(Verdict.NEW)
+        here = Cursor(scan.boot, scan.seq)
+        last = self._pending.get(key) or self._book.get(key)
+        if last is not None and here <= last:
+            return Judgement(Verdict.STALE)
+        self._pending[key] = here
+        if last is None:
+            return Judgement(Verdict.NEW)
+        expected = last.seq + 1 if here.boot == last.boot else 1
+        return Judgement(Verdict.NEW, lost=here.seq - expected)
+
+    def commit(self) -> None:
+        """Remember the batch."""
+        self._book.update(self._pending)

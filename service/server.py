@@ -1,0 +1,113 @@
+"""The life of the process: bind, start, announce, serve until a signal, stop within seconds."""
+
+import asyncio
+import logging
+import signal
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+
+import uvicorn
+
+from service.errors import SourceError
+from service.http.app import create_app
+from service.map_service import MapService
+from service.settings import HttpSettings, Settings
+
+logger = logging.getLogger(__name__)
+
+_GRACE_S = 2  # for answers under way when the end comes
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def run(settings: Settings, announce: Callable[[str], None]) -> None:
+    """Serve until SIGINT or SIGTERM.
+
+    Args:
+        settings: of everything.
+        announce: told once, when the service can be reached, where that is.
+
+    Raises:
+        SourceError: an address is taken or cannot be listened on; nothing is left running.
+    """
+    listener = _listen(settings.http)
+    with listener:
+        asyncio.run(_serve(settings, listener, announce))
+
+
+async def _serve(
+    settings: Settings, listener: socket.socket, announce: Callable[[str], None]
+) -> None:
+    app = create_app(settings)
+    service: MapService = app.state.service
+    config = uvicorn.Config(
+        app,
+        lifespan="off",  # it is entered here, so that what it raises arrives as it is
+        log_config=None,
+        access_log=False,
+        timeout_graceful_shutdown=_GRACE_S,
+        server_header=False,
+    )
+
+    def announce_all() -> None:
+        zenoh = ",".join(service.endpoints) or "none"
+        announce(
+            f"gpom: listening http={_url(listener)} zenoh={zenoh} prefix={settings.zenoh.prefix}"
+        )
+
+    async with app.router.lifespan_context(app):
+        server = _Server(config, on_started=announce_all, on_stopping=service.events.close)
+        await server.serve(sockets=[listener])
+        logger.info("stopping")
+
+
+class _Server(uvicorn.Server):
+    """uvicorn, ended by a signal with exit code 0 and without waiting for event streams."""
+
+    def __init__(
+        self,
+        config: uvicorn.Config,
+        *,
+        on_started: Callable[[], None],
+        on_stopping: Callable[[], None],
+    ) -> None:
+        super().__init__(config)
+        self._on_started = on_started
+        self._on_stopping = on_stopping
+
+    async def startup(self, sockets: Sequence[socket.socket] | None = None) -> None:
+        await super().startup(None if sockets is None else list(sockets))
+        self._on_started()
+
+    async def shutdown(self, sockets: Sequence[socket.socket] | None = None) -> None:
+        self._on_stopping()
+        await super().shutdown(None if sockets is None else list(sockets))
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        def stop(number: int, _: FrameType | None) -> None:
+            logger.info("received %s", signal.Signals(number).name)
+            self.should_exit = True
+
+        # uvicorn's own raises the signal again at the end, which would spoil the exit code.
+        before = {number: signal.signal(number, stop) for number in _SIGNALS}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _listen(http: HttpSettings) -> socket.socket:
+    family = socket.AF_INET6 if ":" in http.host else socket.AF_INET
+    try:
+        return socket.create_server((http.host, http.port), family=family, backlog=2048)
+    except OSError as error:
+        message = f"cannot listen on http://{http.host}:{http.port}: {error.strerror or error}"
+        raise SourceError(message) from error
+
+
+def _url(listener: socket.socket) -> str:
+    host, port = listener.getsockname()[:2]
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -1,0 +1,114 @@
+"""Settings of the running process. Units are in the names; unknown keys are refused.
+
+`service.settings_file` reads them from a file, the environment and flags, and prints them.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, field_validator
+from pydantic_settings import NoDecode
+
+from gpom_core.config import MapConfig
+
+QueuePolicy = Literal["block", "drop_oldest", "drop_newest"]
+
+
+def _cores() -> int:
+    return os.cpu_count() or 1
+
+
+def _split(value: Any) -> Any:
+    """Take ``a,b`` or a JSON list from the environment."""
+    if not isinstance(value, str):
+        return value
+    text = value.strip()
+    if text.startswith("["):
+        return json.loads(text)
+    return [part.strip() for part in text.split(",") if part.strip()]
+
+
+Endpoints = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class HttpSettings(_Section):
+    """The web interface."""
+
+    host: str = Field("127.0.0.1", description="address to listen on; 0.0.0.0 is every network")
+    port: int = Field(8080, ge=0, le=65_535, description="0 picks a free one")
+    query_points_max: int = Field(1_000_000, ge=1, description="points of one query")
+    grid_cells_max: int = Field(4_000_000, ge=1, description="cells of one raster")
+    body_bytes_max: int = Field(64 * 2**20, ge=1024, description="bytes of one request body")
+    query_threads: int = Field(2, ge=1, description="heavy queries answered at once")
+    queries_waiting_max: int = Field(32, ge=0, description="heavy queries in line; then 503")
+    retry_after_s: int = Field(1, ge=1, description="what a 503 tells the client to wait")
+    flush_timeout_max_s: float = Field(600.0, gt=0.0, description="longest wait of one flush")
+    event_clients_max: int = Field(64, ge=1, description="open event streams; then 503")
+    event_keepalive_s: float = Field(15.0, gt=0.0, description="a silent stream says so this often")
+
+
+class ZenohSettings(_Section):
+    """The session by which scans and queries of robots arrive."""
+
+    prefix: str = Field("gpom/v1/site", description="key prefix of the site")
+    listen: Endpoints = Field(
+        ("tcp/127.0.0.1:7447",), description="endpoints to listen on; [] for none"
+    )
+    connect: Endpoints = Field((), description="routers or peers to connect to")
+    options: dict[str, JsonValue] = Field(
+        {}, description="further zenoh configuration, path: value, such as transport/link/tls/…"
+    )
+
+    @field_validator("prefix")
+    @classmethod
+    def _is_plain_key(cls, prefix: str) -> str:
+        chunks = prefix.split("/")
+        if not all(chunks) or any(set(chunk) & set("*$#?") for chunk in chunks):
+            raise ValueError("expected chunks joined by single slashes, without * $ # ?")
+        return prefix
+
+
+class IngestSettings(_Section):
+    """What is taken in, and what happens when more arrives than can be handled."""
+
+    policy: QueuePolicy = Field(
+        "block",
+        description="when the queue is full: block (robots are slowed down), drop_oldest or "
+        "drop_newest (counted)",
+    )
+    queue_scans_max: int = Field(4096, ge=1, description="received, not yet decoded")
+    queue_bytes_max: int = Field(128 * 2**20, ge=1024, description="of the same")
+    batch_scans_max: int = Field(256, ge=1, description="stored in one commit")
+    backlog_scans_max: int = Field(1024, ge=1, description="stored, not yet in the map")
+    beams_max: int = Field(65_536, ge=1, description="a scan with more is refused")
+    robots_max: int = Field(1000, ge=1, description="scans of further robots are refused")
+
+
+class TrainingSettings(_Section):
+    """How experts are kept up to date."""
+
+    workers: int = Field(default_factory=_cores, ge=1, description="threads; default: one a core")
+    swap_interval_s: float = Field(
+        0.1, gt=0.0, le=10.0, description="under load, answers see new experts this often"
+    )
+    attempts_max: int = Field(3, ge=1, description="a failing expert is set aside after these")
+
+
+class Settings(_Section):
+    """Everything that can be set."""
+
+    data_dir: Path | None = Field(
+        None, description="where the map is kept over restarts; null: in memory only"
+    )
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info")
+    http: HttpSettings = HttpSettings()
+    zenoh: ZenohSettings = ZenohSettings()
+    ingest: IngestSettings = IngestSettings()
+    training: TrainingSettings = TrainingSettings()
+    map: MapConfig = MapConfig()

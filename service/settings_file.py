@@ -1,0 +1,144 @@
+"""Settings from four places, each stronger than the one before: defaults, file, environment, flags.
+
+The environment speaks as ``GPOM_LOG_LEVEL=debug``, ``GPOM_HTTP__PORT=80`` or
+``GPOM_ZENOH__CONNECT=tcp/10.0.0.1:7447,tcp/10.0.0.2:7447``; tables are JSON.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel, ValidationError
+from pydantic_settings import (
+    BaseSettings,
+    InitSettingsSource,
+    PydanticBaseSettingsSource,
+    SettingsConfigDict,
+    SettingsError,
+)
+
+from gpom_core.errors import ConfigurationError
+from service.settings import Settings
+
+ENV_PREFIX = "GPOM_"
+_FOREIGN_VARIABLES = frozenset({"GPOM_DATA"})  # where tests find recorded data; not a setting
+
+
+def load_settings(
+    config: Path | None = None,
+    flags: Mapping[str, Any] | None = None,
+) -> Settings:
+    """Merge all sources and validate the result.
+
+    Args:
+        config: YAML file with any part of the settings.
+        flags: nested values, as in the file, that win over everything else.
+
+    Raises:
+        ConfigurationError: unreadable file, unknown key or value out of range, all of them named.
+    """
+    from_file = {} if config is None else _read(config)
+    _refuse_unknown_variables()
+
+    class Sources(BaseSettings, Settings):
+        model_config = SettingsConfigDict(
+            env_prefix=ENV_PREFIX, env_nested_delimiter="__", extra="forbid"
+        )
+
+        @classmethod
+        def settings_customise_sources(
+            cls,
+            settings_cls: type[BaseSettings],
+            init_settings: PydanticBaseSettingsSource,
+            env_settings: PydanticBaseSettingsSource,
+            dotenv_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - not a source here
+            file_secret_settings: PydanticBaseSettingsSource,  # noqa: ARG003 - neither is this
+        ) -> tuple[PydanticBaseSettingsSource, ...]:
+            return init_settings, env_settings, InitSettingsSource(settings_cls, from_file)
+
+    try:
+        merged = Sources(**(flags or {}))
+    except ValidationError as error:
+        raise ConfigurationError(_explain(error, config)) from error
+    except SettingsError as error:
+        raise ConfigurationError(f"{error}; tables are JSON there") from error
+    return Settings(**{name: getattr(merged, name) for name in Settings.model_fields})
+
+
+def annotated_yaml(settings: Settings) -> str:
+    """Give the settings as a YAML file that `load_settings` reads, each with what it means."""
+    lines = [
+        "# Settings of gpom serve: defaults < this file < environment GPOM_* < flags.",
+        f"# In the environment: {ENV_PREFIX}HTTP__PORT=8081, {ENV_PREFIX}LOG_LEVEL=debug, …",
+        *_section(settings, indent=0),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        message = f"cannot read the settings file {path}: {error.strerror or error}"
+        raise ConfigurationError(message) from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path} is not YAML: {error}") from error
+    if content is None:
+        return {}
+    if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
+        raise ConfigurationError(f"{path} holds no table of settings; expected lines `name: value`")
+    return content
+
+
+def _refuse_unknown_variables() -> None:
+    known = {name.upper() for name in Settings.model_fields}
+    unknown = sorted(
+        variable
+        for variable in os.environ
+        if variable.upper().startswith(ENV_PREFIX)
+        and variable.upper() not in _FOREIGN_VARIABLES
+        and variable.upper().removeprefix(ENV_PREFIX).split("__")[0] not in known
+    )
+    if unknown:
+        message = (
+            f"no setting has the name of the environment variable {', '.join(unknown)}; expected "
+            f"{', '.join(ENV_PREFIX + name for name in sorted(known))}, with __ before a name "
+            "within one of them"
+        )
+        raise ConfigurationError(message)
+
+
+def _explain(error: ValidationError, config: Path | None) -> str:
+    problems = []
+    for item in error.errors(include_url=False):
+        name = ".".join(map(str, item["loc"])) or "settings"
+        if item["type"] == "extra_forbidden":
+            problems.append(f"{name}: unknown; see `gpom serve --print-config` for all names")
+        else:
+            problems.append(f"{name}: {item['msg']}, got {item['input']!r}")
+    sources = "" if config is None else f" (from {config}, {ENV_PREFIX}* or flags)"
+    return f"bad settings{sources}: " + "; ".join(problems)
+
+
+def _section(model: BaseModel, indent: int) -> list[str]:
+    pad = "  " * indent
+    lines: list[str] = []
+    for name, field in type(model).model_fields.items():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            summary = (type(value).__doc__ or "").strip().splitlines()
+            lines += ["", *(f"{pad}# {line}" for line in summary[:1]), f"{pad}{name}:"]
+            lines += _section(value, indent + 1)
+        else:
+            if field.description:
+                lines.append(f"{pad}# {field.description}")
+            lines.append(f"{pad}{name}: {_scalar(model, name)}")
+    return lines
+
+
+def _scalar(model: BaseModel, name: str) -> str:
+    plain = model.model_dump(mode="json", include={name})[name]
+    text: str = yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=10_000)
+    return text.removesuffix("\n").removesuffix("\n...")

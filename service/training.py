@@ -1,0 +1,204 @@
+"""Keeps experts up to date: takes jobs from the mapper, runs them in a pool, swaps results in."""
+
+import logging
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+
+from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
+from gpom_core.snapshot import Snapshot
+from service.clock import Clock
+from service.metrics import Metrics
+
+logger = logging.getLogger(__name__)
+
+_CHUNK_S = 0.01  # of work given to a worker at once: handing over costs about 0.1 ms
+_AHEAD = 1.5  # work in the pool lasts this many swap intervals, so that no worker runs dry
+_JOBS_MAX_PER_WORKER = 256
+_SMOOTHING = 0.2  # weight of the newest chunk in the running mean of a job's duration
+
+
+@dataclass(frozen=True, slots=True)
+class Quarantine:
+    """An expert that was set aside: it failed again and again, even on newer evidence."""
+
+    cluster_id: int
+    revision: int
+    error: str
+
+
+@dataclass(frozen=True, slots=True)
+class Swap:
+    """A new version of the map, and for each expert swapped in the turn its job was taken."""
+
+    snapshot: Snapshot
+    turns: Mapping[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Outcome:
+    job: TrainingJob
+    trained: TrainedExpert | None
+    error: str
+    seconds: float
+
+
+class Training:
+    """The training loop, one step at a time. Owned by the thread that owns the mapper.
+
+    Args:
+        mapper: gives jobs, most useful first, and takes results.
+        executor: runs jobs; they are pure, so any executor will do.
+        workers: how many jobs the executor runs at once.
+        swap_interval_s: under load results are collected this long before they are swapped in.
+        attempts_max: an expert that failed this often in a row is set aside.
+        wake: called from any thread when jobs are done, so that the owner makes a step.
+    """
+
+    def __init__(
+        self,
+        mapper: Mapper,
+        executor: Executor,
+        *,
+        workers: int,
+        swap_interval_s: float,
+        attempts_max: int,
+        metrics: Metrics,
+        clock: Clock,
+        wake: Callable[[], None],
+    ) -> None:
+        self._mapper = mapper
+        self._executor = executor
+        self._workers = workers
+        self._swap_interval_s = swap_interval_s
+        self._attempts_max = attempts_max
+        self._metrics = metrics
+        self._clock = clock
+        self._wake = wake
+        self._finished: deque[list[_Outcome]] = deque()  # filled by the pool, emptied by the owner
+        self._turn = 0
+        self._in_pool: dict[int, int] = {}  # cluster -> turn
+        self._trained: list[TrainedExpert] = []
+        self._turns: dict[int, int] = {}  # of what was trained
+        self._failures: dict[int, int] = {}  # cluster -> attempts in a row
+        self._quarantined: dict[int, Quarantine] = {}
+        self._last_swap_s = clock.monotonic_s()
+        self._job_s = 0.01
+        self._version = mapper.snapshot().version
+
+    @property
+    def turn(self) -> int:
+        """The number of the last step: jobs taken later have a larger one."""
+        return self._turn
+
+    def quarantined(self) -> tuple[Quarantine, ...]:
+        """The experts that are set aside."""
+        return tuple(self._quarantined.values())
+
+    def step(self) -> Swap | None:
+        """Collect results, swap them in if it is time, give the pool new jobs.
+
+        Returns:
+            What is new in the map, if anything.
+        """
+        self._turn += 1
+        self._collect()
+        self._top_up()
+        if self._in_pool and self.seconds_to_swap() != 0.0:
+            return None
+        swap = self._swap()
+        self._top_up()  # experts that changed while they were trained can be taken only now
+        return swap
+
+    def seconds_to_swap(self) -> float | None:
+        """How long results may still wait for company; None when there are none."""
+        if not self._trained:
+            return None
+        return max(0.0, self._last_swap_s + self._swap_interval_s - self._clock.monotonic_s())
+
+    def _swap(self) -> Swap | None:
+        trained, self._trained = self._trained, []
+        turns, self._turns = self._turns, {}
+        with self._metrics.swap_seconds.time():
+            # Without results too: experts that lost all their evidence leave the map here.
+            snapshot = self._mapper.swap(trained)
+        if trained:
+            self._last_swap_s = self._clock.monotonic_s()
+        if snapshot.version == self._version and not turns:
+            return None
+        self._version = snapshot.version
+        return Swap(snapshot, turns)
+
+    def _top_up(self) -> None:
+        room = self._capacity() - len(self._in_pool)
+        if room <= 0:
+            return
+        jobs = self._mapper.take_jobs(room)
+        self._in_pool |= dict.fromkeys((job.cluster_id for job in jobs), self._turn)
+        size = max(1, min(int(_CHUNK_S / self._job_s), -(-len(jobs) // self._workers)))
+        for start in range(0, len(jobs), size):
+            future = self._executor.submit(_run_all, jobs[start : start + size])
+            future.add_done_callback(self._finish)
+
+    def _capacity(self) -> int:
+        """Jobs that keep the pool busy for a little longer than until the next swap."""
+        per_worker = int(_AHEAD * self._swap_interval_s / self._job_s)
+        return max(1, min(per_worker, _JOBS_MAX_PER_WORKER)) * self._workers
+
+    def _finish(self, future: "Future[list[_Outcome]]") -> None:
+        # Runs in a thread of the pool. Cancelled: the service is stopping.
+        if not future.cancelled():
+            self._finished.append(future.result())
+            self._wake()
+
+    def _collect(self) -> None:
+        while self._finished:
+            outcomes = self._finished.popleft()
+            for outcome in outcomes:
+                turn = self._in_pool.pop(outcome.job.cluster_id)
+                if outcome.trained is None:
+                    self._failed(outcome.job, outcome.error)
+                else:
+                    self._succeeded(outcome.trained, turn)
+                    self._metrics.train_seconds.observe(outcome.seconds)
+            mean_s = sum(outcome.seconds for outcome in outcomes) / len(outcomes)
+            self._job_s += _SMOOTHING * (mean_s - self._job_s)
+
+    def _succeeded(self, trained: TrainedExpert, turn: int) -> None:
+        self._trained.append(trained)
+        self._turns[trained.cluster_id] = turn
+        self._failures.pop(trained.cluster_id, None)
+        self._quarantined.pop(trained.cluster_id, None)
+
+    def _failed(self, job: TrainingJob, error: str) -> None:
+        self._metrics.training_failures.inc()
+        attempts = self._failures.get(job.cluster_id, 0) + 1
+        self._failures[job.cluster_id] = attempts
+        if attempts < self._attempts_max:
+            self._mapper.fail(job)
+            return
+        if job.cluster_id not in self._quarantined:
+            logger.error(
+                "expert %d is set aside: training failed %d times: %s",
+                job.cluster_id,
+                attempts,
+                error,
+            )
+        self._quarantined[job.cluster_id] = Quarantine(job.cluster_id, job.revision, error)
+        self._mapper.set_aside(job)
+
+
+def _run_all(jobs: Sequence[TrainingJob]) -> list[_Outcome]:
+    return [_run(job) for job in jobs]
+
+
+def _run(job: TrainingJob) -> _Outcome:
+    start_s = time.perf_counter()
+    try:
+        trained = job.run()
+    except Exception as error:
+        logger.warning("training of expert %d failed", job.cluster_id, exc_info=True)
+        return _Outcome(job, None, repr(error), time.perf_counter() - start_s)
+    return _Outcome(job, trained, "", time.perf_counter() - start_s)

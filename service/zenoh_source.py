@@ -1,0 +1,162 @@
+"""Scans, queries and signs of life over zenoh.
+
+The session may hang the interpreter when it is left open, and an exception in a callback loses
+the sample silently: so `close` is always called, and every callback catches everything.
+"""
+
+import json
+import logging
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import zenoh
+
+from service.errors import SourceError
+from service.settings import ZenohSettings
+from service.source import RemoteQuery, RemoteReply, SourceSink
+
+logger = logging.getLogger(__name__)
+
+SERVICE_CHUNK = "_map"  # stands where robots have their name, and is no robot
+
+_T = TypeVar("_T")
+
+
+class ZenohSource:
+    """The session of the service: a peer that listens, connects to routers, or both."""
+
+    def __init__(self, settings: ZenohSettings) -> None:
+        self._settings = settings
+        self._session: zenoh.Session | None = None
+        self._held: list[Any] = []  # subscribers end when they are collected
+        self._endpoints: tuple[str, ...] = ()
+
+    def open(self, sink: SourceSink) -> None:
+        """Open the session and declare everything; the token of the service comes last.
+
+        Raises:
+            SourceError: an address is taken, or the configuration is refused.
+        """
+        prefix = self._settings.prefix
+        try:
+            self._session = session = zenoh.open(_configuration(self._settings))
+            self._held = [
+                session.declare_subscriber(f"{prefix}/*/scan/*", _caught(self._on_scan(sink))),
+                session.liveliness().declare_subscriber(
+                    f"{prefix}/*/alive", _caught(self._on_alive(sink)), history=True
+                ),
+                session.declare_queryable(
+                    f"{prefix}/{SERVICE_CHUNK}/query", _caught(self._on_query(sink)), complete=True
+                ),
+                session.liveliness().declare_token(f"{prefix}/{SERVICE_CHUNK}/alive"),
+            ]
+            self._endpoints = _locators(session) if self._settings.listen else ()
+        except zenoh.ZError as error:
+            self.close()
+            listen = ", ".join(self._settings.listen) or "nowhere"
+            connect = ", ".join(self._settings.connect) or "nothing"
+            message = (
+                f"cannot open zenoh listening on {listen} and connecting to {connect}: {error}"
+            )
+            raise SourceError(message) from error
+
+    def close(self) -> None:
+        """Close the session; robots see the token of the service go."""
+        session, self._session = self._session, None
+        self._held = []
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+
+    def trouble(self) -> str | None:
+        """Say when the session is closed, or has lost all it should be connected to."""
+        session = self._session
+        if session is None or session.is_closed():
+            return "the zenoh session is closed"
+        if self._settings.connect and not (session.info.routers_zid() + session.info.peers_zid()):
+            return f"zenoh is not connected to {', '.join(self._settings.connect)}"
+        return None
+
+    def endpoints(self) -> tuple[str, ...]:
+        """Where it really listens, with the port that was picked for port 0."""
+        return self._endpoints
+
+    def _on_scan(self, sink: SourceSink) -> Callable[[zenoh.Sample], None]:
+        def on_scan(sample: zenoh.Sample) -> None:
+            if sample.kind != zenoh.SampleKind.PUT:
+                return
+            robot, _, sensor = self._chunks(sample.key_expr)
+            if robot != SERVICE_CHUNK:
+                sink.on_scan(robot, sensor, sample.payload.to_bytes())
+
+        return on_scan
+
+    def _on_alive(self, sink: SourceSink) -> Callable[[zenoh.Sample], None]:
+        def on_alive(sample: zenoh.Sample) -> None:
+            robot, _ = self._chunks(sample.key_expr)
+            if robot != SERVICE_CHUNK:
+                sink.on_presence(robot, sample.kind == zenoh.SampleKind.PUT)
+
+        return on_alive
+
+    def _on_query(self, sink: SourceSink) -> Callable[[zenoh.Query], None]:
+        key = f"{self._settings.prefix}/{SERVICE_CHUNK}/query"
+
+        def on_query(query: zenoh.Query) -> None:
+            def reply(answer: RemoteReply) -> None:
+                # Finished here at the latest: an open query makes the asker wait for its timeout.
+                with query:
+                    if answer.is_error:
+                        query.reply_err(answer.body, encoding=answer.media_type)
+                    else:
+                        query.reply(key, answer.body, encoding=answer.media_type)
+
+            sink.on_query(
+                RemoteQuery(
+                    body=b"" if query.payload is None else query.payload.to_bytes(),
+                    media_type="" if query.encoding is None else str(query.encoding),
+                    fusion=query.parameters.get("fusion"),
+                    reply=reply,
+                )
+            )
+
+        return on_query
+
+    def _chunks(self, key: zenoh.KeyExpr) -> list[str]:
+        return str(key).removeprefix(self._settings.prefix + "/").split("/")
+
+
+def _caught(callback: Callable[[_T], None]) -> Callable[[_T], None]:
+    def safe(item: _T) -> None:
+        try:
+            callback(item)
+        except Exception:
+            logger.exception("a zenoh callback failed; the sample is lost")
+
+    return safe
+
+
+def _configuration(settings: ZenohSettings) -> zenoh.Config:
+    values: dict[str, Any] = {
+        "mode": "peer",
+        "listen/endpoints": list(settings.listen),
+        "connect/endpoints": list(settings.connect),
+        # A router that is down comes back: keep trying, and say so in readiness.
+        "connect/exit_on_failure": False,
+        "connect/timeout_ms": 0,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+        "adminspace/enabled": True,  # tells which port was picked for port 0
+        **settings.options,
+    }
+    config = zenoh.Config()
+    for path, value in values.items():
+        config.insert_json5(path, json.dumps(value))
+    return config
+
+
+def _locators(session: zenoh.Session) -> tuple[str, ...]:
+    for reply in session.get(f"@/{session.zid()}/peer", timeout=2.0):
+        if reply.ok is not None:
+            return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])
+    return ()

@@ -1,0 +1,72 @@
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from fastapi.testclient import TestClient
+
+from service.http.app import create_app
+from service.journal import MemoryJournal
+from service.map_service import MapService, Ports
+from service.settings import Settings
+from service.source import MemorySource
+
+
+@pytest.fixture(autouse=True)
+def _no_settings_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    import os  # noqa: PLC0415 - here only
+
+    for name in [name for name in os.environ if name.startswith("GPOM_")]:
+        if name != "GPOM_DATA":
+            monkeypatch.delenv(name)
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 60.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < end_s, "did not come true in time"
+        time.sleep(0.005)
+
+
+@pytest.fixture
+def eventually() -> Callable[..., None]:
+    return wait_until
+
+
+@pytest.fixture
+def source() -> MemorySource:
+    return MemorySource()
+
+
+@pytest.fixture
+def journal() -> MemoryJournal:
+    return MemoryJournal()
+
+
+@pytest.fixture
+def settings() -> Settings:
+    return Settings()
+
+
+@pytest.fixture
+def service(
+    settings: Settings, source: MemorySource, journal: MemoryJournal
+) -> Iterator[MapService]:
+    """The whole service without a network, warm."""
+    service = MapService(settings, Ports(source, journal))
+    service.start()
+    try:
+        wait_until(lambda: not service.troubles())
+        yield service
+    finally:
+        service.stop()
+
+
+@pytest.fixture
+def client(
+    settings: Settings, source: MemorySource, journal: MemoryJournal
+) -> Iterator[TestClient]:
+    """The web interface of the same, without a network."""
+    app = create_app(settings, Ports(source, journal))
+    with TestClient(app, raise_server_exceptions=False) as client:
+        wait_until(lambda: client.get("/readyz").is_success)
+        yield client

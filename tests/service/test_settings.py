@@ -1,0 +1,122 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from gpom_core.errors import ConfigurationError
+from service.settings import Settings
+from service.settings_file import annotated_yaml, load_settings
+
+
+@pytest.fixture(autouse=True)
+def _no_variables(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in list(os.environ):
+        if name.startswith("GPOM_"):
+            monkeypatch.delenv(name)
+
+
+def _file(tmp_path: Path, text: str) -> Path:
+    path = tmp_path / "gpom.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_defaults_need_no_source() -> None:
+    assert load_settings() == Settings()
+    assert load_settings().http.host == "127.0.0.1"
+
+
+def test_each_source_wins_over_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = _file(tmp_path, "http: {port: 1, host: a, query_threads: 7}\nlog_level: error\n")
+    monkeypatch.setenv("GPOM_HTTP__PORT", "2")
+    monkeypatch.setenv("GPOM_HTTP__HOST", "b")
+    monkeypatch.setenv("GPOM_ZENOH__CONNECT", '["tcp/127.0.0.1:7448"]')
+    settings = load_settings(path, {"http": {"port": 3}})
+    assert (settings.http.port, settings.http.host, settings.http.query_threads) == (3, "b", 7)
+    assert settings.log_level == "error"
+    assert settings.zenoh.connect == ("tcp/127.0.0.1:7448",)
+
+
+def test_map_is_set_like_everything_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GPOM_MAP__LENGTH_SCALE_M", "0.3")
+    assert load_settings().map.length_scale_m == 0.3
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("http: {prot: 1}", "http.prot: unknown"),
+        ("htpp: {port: 1}", "htpp: unknown"),
+        ("http: {port: 99999}", "http.port"),
+        ("map: {length_scale_m: -1}", "map.length_scale_m"),
+        ("zenoh: {prefix: 'a/*/b'}", "zenoh.prefix"),
+        ("zenoh: {prefix: '/a'}", "zenoh.prefix"),
+        ("- 1", "no table"),
+        ("a: [", "not YAML"),
+    ],
+)
+def test_bad_files_are_refused_with_the_name(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(ConfigurationError, match=expected):
+        load_settings(_file(tmp_path, text))
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"nowhere\.yaml: No such file"):
+        load_settings(tmp_path / "nowhere.yaml")
+
+
+def test_empty_file_changes_nothing(tmp_path: Path) -> None:
+    assert load_settings(_file(tmp_path, "# nothing\n")) == Settings()
+
+
+@pytest.mark.parametrize("name", ["GPOM_PORT", "GPOM_HTPP__PORT", "GPOM_HTTP__PROT"])
+def test_unknown_variables_are_refused(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setenv(name, "1")
+    with pytest.raises(ConfigurationError, match=r"(?i)unknown|no setting"):
+        load_settings()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("a", ("a",)), ("a, b", ("a", "b")), ('["a", "b"]', ("a", "b")), ("", ()), ("[]", ())],
+)
+def test_endpoints_in_the_environment(
+    monkeypatch: pytest.MonkeyPatch, text: str, expected: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("GPOM_ZENOH__LISTEN", text)
+    assert load_settings().zenoh.listen == expected
+
+
+@pytest.mark.parametrize("name", ["GPOM_ZENOH__OPTIONS", "GPOM_HTTP"])
+def test_variable_that_is_no_json(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setenv(name, "{")
+    with pytest.raises(ConfigurationError, match="JSON"):
+        load_settings()
+
+
+def test_printed_settings_read_back_the_same(tmp_path: Path) -> None:
+    settings = load_settings(flags={"http": {"port": 1234}, "data_dir": str(tmp_path)})
+    text = annotated_yaml(settings)
+    assert load_settings(_file(tmp_path, text)) == settings
+    assert text.count("#") > 20
+
+
+def test_every_setting_is_printed() -> None:
+    printed = yaml.safe_load(annotated_yaml(Settings()))
+    assert printed == Settings().model_dump(mode="json")
+
+
+def test_command_prints_a_valid_file() -> None:
+    code = "from service.cli import serve; import typer; typer.run(serve)"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "--print-config", "--port", "4321"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert yaml.safe_load(done.stdout)["http"]["port"] == 4321
