@@ -1,12 +1,74 @@
 """What robots and users of the map import, and the command `gpom`.
 
-Rooms, from the ground up; each may use those above it in this list and gpom_core:
+Rooms, from the ground up; each may use those above it in this list, and gpom_core:
 
-1. errors: the client's branch of the tree of errors.
-2. keys, logs, world: names on zenoh; what a log reader offers; geometry of simulated sites.
-3. carmen, building, sensor, calls: one log format; a furnished building; a range sensor; HTTP.
-4. link, motion, map_client: a zenoh session; paths of robots; the map's HTTP client.
-5. publisher, simulate: numbered scans of one robot; robots that drive and scan.
-6. dispatch, replay: scans sent on time; a log as several robots.
-7. *_command, cli: the command line.
+1. errors: the clients' branch of the tree of errors. children: processes that a command starts.
+2. keys: names on zenoh. log_reader: what a reader of logs offers. world: geometry of simulated
+   sites. answers: what the map service answers.
+3. link: a zenoh session and one stream on it. carmen: one format of logs. building: a furnished
+   site. sensor: a simulated scanner. calls: the HTTP interface as values.
+4. publisher: numbered scans of one sensor. logs: whatever the format. motion: how robots drive.
+   map_client: asks the map, blocking or not.
+5. simulate: robots that drive and scan. protocol: how accuracy is measured. dispatch: scans sent
+   when they are due.
+6. replay: a log as one robot or several. fleet: robots of one process on the way to the map.
+   contenders: maps to measure.
+7. options, demo, evaluate, *_command: the commands.
+8. cli: the command line.
+
+The names below can be imported from `clients` itself.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from clients.answers import MapPrediction, MapStatus, PointPrediction, RobotStatus
+    from clients.errors import (
+        DeliveryError,
+        LogReadError,
+        MapProtocolError,
+        MapRequestError,
+        MapServiceError,
+        MapTimeoutError,
+        MapUnavailableError,
+        MapUnreachableError,
+    )
+    from clients.link import SessionSettings, open_session
+    from clients.logs import open_log
+    from clients.map_client import AsyncMapClient, MapClient
+    from clients.publisher import ScanPublisher
+
+__all__ = [
+    "AsyncMapClient",
+    "DeliveryError",
+    "LogReadError",
+    "MapClient",
+    "MapPrediction",
+    "MapProtocolError",
+    "MapRequestError",
+    "MapServiceError",
+    "MapStatus",
+    "MapTimeoutError",
+    "MapUnavailableError",
+    "MapUnreachableError",
+    "PointPrediction",
+    "RobotStatus",
+    "ScanPublisher",
+    "SessionSettings",
+    "open_log",
+    "open_session",
+]
+
+# Whoever asks the map needs no zenoh, so it comes last.
+_ROOMS = ("answers", "errors", "map_client", "logs", "link", "publisher")
+
+
+def __getattr__(name: str) -> Any:
+    if name in __all__:
+        for room in _ROOMS:
+            module = import_module(f"clients.{room}")
+            if name in vars(module):
+                return vars(module)[name]
+    message = f"module {__name__!r} has no attribute {name!r}"
+    raise AttributeError(message)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from clients.errors import LogReadError
-from clients.logs import LogSummary, NoReturns, ReadOptions
+from clients.log_reader import LogSummary, NoReturns, ReadOptions
 from gpom_core.errors import InvalidScanError
 from gpom_core.scan import Pose2D, Scan
 

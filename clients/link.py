@@ -138,8 +138,8 @@ class ScanLink:
             else f"no map service is alive under the prefix {self._keys.prefix!r}"
         )
         message = (
-            f"{missing}; waited {timeout_s:g} s. Is `gpom serve` running, connected to the same "
-            "router and using the same prefix?"
+            f"{missing}. Is `gpom serve` running, connected to the same router and using the same "
+            "prefix?"
         )
         raise DeliveryError(message)
 

@@ -38,17 +38,17 @@ class RangeSensor:
 
     def __post_init__(self) -> None:
         checks = {
-            "beams must be at least 2": self.beams >= 2,
-            "fov_rad must be above 0 and at most a full turn": 0.0 < self.fov_rad <= 2 * pi,
+            "at least 2 beams": self.beams >= 2,
+            "0 < fov_rad <= 2 pi": 0.0 < self.fov_rad <= 2 * pi,
             "0 <= range_min_m < range_max_m": 0.0 <= self.range_min_m < self.range_max_m < np.inf,
-            "noise_std_m must not be negative": 0.0 <= self.noise_std_m < np.inf,
-            "probabilities must be between 0 and 1": all(
+            "noise_std_m >= 0": 0.0 <= self.noise_std_m < np.inf,
+            "probabilities from 0 to 1": all(
                 0.0 <= p <= 1.0 for p in (self.dropout_probability, self.missed_probability)
             ),
         }
         for rule, holds in checks.items():
             if not holds:
-                message = f"the sensor {self} is impossible: {rule}"
+                message = f"the simulated sensor is impossible: expected {rule}"
                 raise ConfigurationError(message)
 
     @property

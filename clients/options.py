@@ -1,0 +1,51 @@
+"""Options that several commands share."""
+
+from typing import Annotated
+
+import typer
+
+from clients.keys import DEFAULT_PREFIX
+from gpom_core.errors import ConfigurationError
+
+DEFAULT_ENDPOINTS = ["tcp/127.0.0.1:7447"]
+DEFAULT_WAIT_S = 10.0
+DEFAULT_URL = "http://127.0.0.1:8080"
+
+Connect = Annotated[
+    list[str], typer.Option(help="zenoh router to connect to; may be repeated.", metavar="ENDPOINT")
+]
+Prefix = Annotated[str, typer.Option(help="Prefix of the site's zenoh keys.", metavar="KEY")]
+Sensor = Annotated[str, typer.Option(help="Name of the sensor.", metavar="NAME")]
+Wait = Annotated[
+    float, typer.Option(help="Wait so long for the map service.", min=0.0, metavar="SECONDS")
+]
+Url = Annotated[str, typer.Option(help="Address of the map service.", metavar="URL")]
+Fusion = Annotated[str, typer.Option(help="Rule that merges experts: bcm, rbcm or poe.")]
+
+__all__ = [
+    "DEFAULT_ENDPOINTS",
+    "DEFAULT_PREFIX",
+    "DEFAULT_URL",
+    "DEFAULT_WAIT_S",
+    "Connect",
+    "Fusion",
+    "Prefix",
+    "Sensor",
+    "Url",
+    "Wait",
+    "parse_box",
+]
+
+
+def parse_box(text: str) -> tuple[float, float, float, float]:
+    """Read `xmin,ymin,xmax,ymax`.
+
+    Raises:
+        ConfigurationError: it is something else.
+    """
+    try:
+        xmin, ymin, xmax, ymax = map(float, text.split(","))
+    except ValueError as error:
+        message = f"the box {text!r} is not understood; expected xmin,ymin,xmax,ymax in m"
+        raise ConfigurationError(message) from error
+    return xmin, ymin, xmax, ymax
