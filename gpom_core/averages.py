@@ -10,9 +10,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.jit import compiled
-from gpom_core.quadrature import fill_rule, node_count, panel_count
+from gpom_core.jit import compiled, inlined
+from gpom_core.quadrature import fill_rule, rule_size
 from gpom_core.special import erf, exp_neg
+
+_Floats = NDArray[np.float64]
+_Integers = NDArray[np.integer]
 
 _SQRT_HALF: Final = 0.7071067811865476
 _SQRT_HALF_PI: Final = 1.2533141373155003
@@ -25,7 +28,7 @@ _SHORT: Final = 0.45
 CUTOFF: Final = 6.8
 
 
-@compiled
+@inlined
 def _short_series(length: float) -> tuple[float, float, float, float, float]:
     """Coefficients a of sum_k a_k c^2k exp(-c^2 / 2), the average over an interval centred at -c.
 
@@ -43,7 +46,7 @@ def _short_series(length: float) -> tuple[float, float, float, float, float]:
     )
 
 
-@compiled
+@inlined
 def interval_average(s: float, length: float) -> float:
     """Average of exp(-(s - u)^2 / 2) over u in [0, length]."""
     if length > _SHORT:
@@ -56,7 +59,7 @@ def interval_average(s: float, length: float) -> float:
 
 
 @compiled
-def interval_averages(s: NDArray[np.float64], length: float, out: NDArray[np.float64]) -> None:
+def interval_averages(s: _Floats, length: float, out: _Floats) -> None:
     """`interval_average` of every element of s."""
     if length > _SHORT:
         factor = _SQRT_HALF_PI / length
@@ -71,12 +74,11 @@ def interval_averages(s: NDArray[np.float64], length: float, out: NDArray[np.flo
 
 
 @compiled
-def line_averages(
-    s: NDArray[np.float64], r2: NDArray[np.float64], length: float, out: NDArray[np.float64]
-) -> None:
+def line_averages(s: _Floats, r2: _Floats, length: float, out: _Floats) -> None:
     """Average over a line, at points s along it and at squared distance r2 from its axis.
 
-    Equation 11 of the paper; a length of zero gives the point kernel.
+    Equation 11 of the paper; a length of zero gives the point kernel. The arrays may have unused
+    room in out.
     """
     if length == 0.0:
         for k in range(s.size):
@@ -88,92 +90,125 @@ def line_averages(
 
 
 @compiled
-def line_gram(start: NDArray[np.float64], span: NDArray[np.float64]) -> NDArray[np.float64]:
+def line_gram(start: _Floats, span: _Floats, place: _Integers, out: _Floats) -> None:
     """Double averages between all pairs of n lines in d dimensions.
 
-    Of each pair the longer line is integrated in closed form, the shorter by Gauss-Legendre.
+    Of each pair one line is integrated in closed form, the other by Gauss-Legendre: the one that
+    needs fewer nodes. All nodes that one line meets are evaluated in one vectorised pass.
 
     Args:
         start: (d, n) start of each line.
         span: (d, n) end minus start.
-
-    Returns:
-        (n, n), symmetric.
+        place: (n,) row and column of each line in out.
+        out: the pair (i, j) is written to out[place[i], place[j]] and its mirror image.
     """
-    d, n = start.shape
-    out = np.zeros((n, n))
-    length = np.zeros(n)
-    total_nodes = 0
-    count = np.empty(n, np.int64)
-    for j in range(n):
-        length[j] = np.sqrt(np.sum(span[:, j] * span[:, j]))
-        count[j] = panel_count(length[j]) * node_count(length[j])
-        total_nodes += count[j]
-    first = np.empty(n, np.int64)
-    node = np.empty(total_nodes)
-    weight = np.empty(total_nodes)
-    filled = 0
-    for j in range(n):
-        first[j] = filled
-        filled += fill_rule(length[j], node[filled:], weight[filled:])
-
-    s = np.empty(total_nodes)
-    r2 = np.empty(total_nodes)
-    value = np.empty(total_nodes)
-    along = np.empty(n)
-    along_span = np.empty(n)
-    squared = np.empty(n)
-    mixed = np.empty(n)
-    gap2 = np.empty(n)
-    near = np.empty(n, np.int64)
+    # Indices are unsigned: numba tests signed ones for wrapping round, a quarter of the time.
+    d, lines = start.shape
+    n = np.uint64(lines)
+    one = np.uint64(1)
+    order, length, first = _by_nodes(span)
+    points = np.uint64(lines)  # lines from here on are points
+    while points > 0 and length[points - one] == 0.0:
+        points -= one
+    middle, e = np.empty((d, lines)), np.empty((d, lines))
+    target = np.empty(lines, np.uint64)
+    node, weight = np.empty(first[n]), np.empty(first[n])
     for i in range(n):
-        along[:] = 0.0
-        along_span[:] = 0.0
-        squared[:] = 0.0
-        mixed[:] = 0.0
-        gap2[:] = 0.0
         for axis in range(d):
-            a = start[axis, i]
-            e = span[axis, i]
-            t = e / length[i] if length[i] > 0.0 else 0.0
-            low = min(a, a + e)
-            high = max(a, a + e)
-            for j in range(n):
-                p = start[axis, j] - a
-                f = span[axis, j]
-                along[j] += p * t
-                along_span[j] += f * t
-                squared[j] += p * p
-                mixed[j] += p * f
-                b = start[axis, j]
-                gap = max(low - max(b, b + f), min(b, b + f) - high)
-                gap = gap if gap > 0.0 else 0.0
-                gap2[j] += gap * gap
-        # the shorter lines (of equals, the later) that are near enough, as one run of nodes
-        found = 0
-        filled = 0
-        for j in range(n):
-            if gap2[j] > CUTOFF * CUTOFF or length[j] > length[i]:
-                continue
-            if length[j] == length[i] and j < i:
+            e[axis, i] = span[axis, order[i]]
+            middle[axis, i] = start[axis, order[i]] + 0.5 * e[axis, i]
+        target[i] = place[order[i]]
+        fill_rule(length[i], node[first[i] :], weight[first[i] :])
+    along, squared, near = np.empty(lines), np.empty(lines), np.empty(lines, np.uint64)
+    s, r2, value = np.empty(first[n]), np.empty(first[n]), np.empty(first[n])
+    for i in range(n):
+        half = 0.5 * length[i]
+        # every later line's middle, as seen from the middle of this one
+        for j in range(i, n):
+            along[j] = 0.0
+            squared[j] = 0.0
+        for axis in range(d):
+            t = e[axis, i] / length[i] if length[i] > 0.0 else 0.0
+            origin = middle[axis, i]
+            for j in range(i, n):
+                offset = middle[axis, j] - origin
+                along[j] += offset * t
+                squared[j] += offset * offset
+        # the nodes of the lines that are near enough, then the points
+        filled = np.uint64(0)
+        found = np.uint64(0)
+        for j in range(i, points):
+            s0, r0, length_j = along[j], squared[j], length[j]
+            beyond = max(abs(s0) - half, 0.0)
+            reach = CUTOFF + 0.5 * length_j
+            if beyond * beyond + r0 - s0 * s0 > reach * reach:
+                out[target[i], target[j]] = 0.0
+                out[target[j], target[i]] = 0.0
                 continue
             near[found] = j
-            found += 1
-            length2 = length[j] * length[j]
-            for q in range(first[j], first[j] + count[j]):
-                u = node[q]
-                along_u = along[j] + u * along_span[j]
-                s[filled] = along_u
-                r2[filled] = squared[j] + u * (2.0 * mixed[j] + u * length2) - along_u * along_u
-                filled += 1
+            found += one
+            slope = 0.0
+            mixed = 0.0
+            for axis in range(d):
+                slope += e[axis, j] * e[axis, i]
+                mixed += e[axis, j] * (middle[axis, j] - middle[axis, i])
+            slope /= length[i]
+            mixed *= 2.0
+            length2 = length_j * length_j
+            for q in range(first[j], first[j + one]):
+                u = node[q] - 0.5
+                along_u = s0 + u * slope
+                s[filled] = along_u + half
+                r2[filled] = r0 + u * (mixed + u * length2) - along_u * along_u
+                filled += one
+        rest = i if i > points else points
+        for j in range(rest, n):
+            s[filled] = along[j] + half
+            r2[filled] = squared[j] - along[j] * along[j]
+            filled += one
         line_averages(s[:filled], r2[:filled], length[i], value)
-        filled = 0
+        filled = np.uint64(0)
         for k in range(found):
             j = near[k]
             total = 0.0
-            for q in range(count[j]):
-                total += weight[first[j] + q] * value[filled + q]
-            filled += count[j]
-            out[i, j] = total
-            out[j, i] = total
-    return out
+            for q in range(first[j], first[j + one]):
+                total += weight[q] * value[filled]
+                filled += one
+            out[target[i], target[j]] = total
+            out[target[j], target[i]] = total
+        for j in range(rest, n):
+            out[target[i], target[j]] = value[filled]
+            out[target[j], target[i]] = value[filled]
+            filled += one
+
+
+@compiled
+def _by_nodes(span: _Floats) -> tuple[_Integers, _Floats, _Integers]:
+    """Lines (d, n) ordered by falling number of nodes, points last.
+
+    Returns:
+        The order (n,); the lengths in that order; where each line's nodes begin, (n + 1,).
+    """
+    d, n = span.shape
+    unsorted_length = np.empty(n)
+    size = np.empty(n, np.int64)
+    most = 0
+    for j in range(n):
+        length2 = 0.0
+        for axis in range(d):
+            length2 += span[axis, j] * span[axis, j]
+        unsorted_length[j] = np.sqrt(length2)
+        size[j] = rule_size(unsorted_length[j]) if length2 > 0.0 else 0
+        most = max(most, size[j])
+    order = np.empty(n, np.uint64)
+    length = np.empty(n)
+    first = np.zeros(n + 1, np.uint64)
+    i = np.uint64(0)
+    for wanted in range(most, -1, -1):
+        for j in range(n):
+            if size[j] == wanted:
+                order[i] = j
+                length[i] = unsorted_length[j]
+                first[i + np.uint64(1)] = first[i] + np.uint64(max(wanted, 1))
+                i += np.uint64(1)
+    return order, length, first

@@ -20,13 +20,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gpom_core.averages import interval_average, interval_averages, line_averages, line_gram
-from gpom_core.jit import compiled
-from gpom_core.quadrature import fill_rule, node_count, panel_count
+from gpom_core.averages import interval_average, line_averages, line_gram
+from gpom_core.boxes import box_gram, box_rows
+from gpom_core.jit import compiled, inlined
+from gpom_core.quadrature import fill_rule, rule_size
 from gpom_core.special import exp_neg
 
 _Floats = NDArray[np.float64]
-_Integers = NDArray[np.int64]
+_Integers = NDArray[np.integer]
 
 
 class Kind(IntEnum):
@@ -137,9 +138,13 @@ def _check(
     return checked_kinds, shapes, np.full(d, 1.0 / scale)
 
 
-@compiled
+@inlined
 def point_point(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> float:
     """Kernel of a point, given as its geometry row (2, d), and a query point (d,)."""
+    if point.size == 2:  # spelled out: a loop over two axes takes three times as long
+        x = (point[0] - shape[0, 0]) * inverse_length_scale[0]
+        y = (point[1] - shape[0, 1]) * inverse_length_scale[1]
+        return exp_neg(-0.5 * (x * x + y * y))
     r2 = 0.0
     for axis in range(point.size):
         offset = (point[axis] - shape[0, axis]) * inverse_length_scale[axis]
@@ -147,7 +152,7 @@ def point_point(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -
     return exp_neg(-0.5 * r2)
 
 
-@compiled
+@inlined
 def point_segment(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> float:
     """Average over a segment, given as its geometry row (2, d), at a query point (d,)."""
     along = 0.0
@@ -160,22 +165,31 @@ def point_segment(shape: _Floats, point: _Floats, inverse_length_scale: _Floats)
         along += offset * span
         length2 += span * span
         squared += offset * offset
-    if length2 == 0.0:
-        return exp_neg(-0.5 * squared)
     length = np.sqrt(length2)
-    s = along / length
+    s = along / length if length > 0.0 else 0.0
     return exp_neg(-0.5 * (squared - s * s)) * interval_average(s, length)
 
 
-@compiled
+@inlined
 def point_box(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> float:
     """Average over a box, given as its geometry row (2, d), at a query point (d,)."""
+    if point.size == 2:
+        return _side_average(shape, point, inverse_length_scale, 0) * _side_average(
+            shape, point, inverse_length_scale, 1
+        )
     product = 1.0
     for axis in range(point.size):
-        scale = inverse_length_scale[axis]
-        offset = (point[axis] - shape[0, axis]) * scale
-        product *= interval_average(offset, (shape[1, axis] - shape[0, axis]) * scale)
+        product *= _side_average(shape, point, inverse_length_scale, axis)
     return product
+
+
+@inlined
+def _side_average(
+    shape: _Floats, point: _Floats, inverse_length_scale: _Floats, axis: int
+) -> float:
+    low = (point[axis] - shape[0, axis]) * inverse_length_scale[axis]
+    width = (shape[1, axis] - shape[0, axis]) * inverse_length_scale[axis]
+    return interval_average(low, width)
 
 
 @compiled
@@ -183,28 +197,24 @@ def gram_into(
     kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats, out: _Floats
 ) -> None:
     """`gram`, written into out (n, n); inverse_length_scale is (d,)."""
-    lines = np.flatnonzero(kinds != _BOX)
+    lines = _of_kind(kinds, False)
+    boxes = _of_kind(kinds, True)
     start, span = _whitened(geometry, lines, inverse_length_scale)
-    if lines.size > 0:
-        values = line_gram(start, span)
-        for i in range(lines.size):
-            for j in range(lines.size):
-                out[lines[i], lines[j]] = values[i, j]
-    boxes = np.flatnonzero(kinds == _BOX)
+    line_gram(start, span, lines, out)
     if boxes.size == 0:
         return
     low, width = _whitened(geometry, boxes, inverse_length_scale)
-    interval, interval_low, interval_width, interval_count = _distinct_intervals(low, width)
-    _box_gram(boxes, interval, interval_low, interval_width, interval_count, out)
+    box_gram(low, width, boxes, out)
     if lines.size > 0:
         node, weight, first = _line_nodes(start, span)
-        values = np.empty((boxes.size, first[-1]))
-        _box_rows(interval, interval_low, interval_width, interval_count, node, values)
+        values = np.empty((boxes.size, weight.size))
+        box_rows(low, width, node, values)
         for b in range(boxes.size):
-            for j in range(lines.size):
+            row = values[b]
+            for j in range(np.uint64(lines.size)):
                 total = 0.0
-                for q in range(first[j], first[j + 1]):
-                    total += weight[q] * values[b, q]
+                for q in range(first[j], first[j + np.uint64(1)]):
+                    total += weight[q] * row[q]
                 out[boxes[b], lines[j]] = total
                 out[lines[j], boxes[b]] = total
 
@@ -219,24 +229,24 @@ def cross_into(
 ) -> None:
     """`cross`, written into out (m, n); inverse_length_scale is (d,)."""
     m, d = points.shape
-    lines = np.flatnonzero(kinds != _BOX)
+    lines = _of_kind(kinds, False)
+    boxes = _of_kind(kinds, True)
     start, span = _whitened(geometry, lines, inverse_length_scale)
-    boxes = np.flatnonzero(kinds == _BOX)
     low, width = _whitened(geometry, boxes, inverse_length_scale)
-    interval, interval_low, interval_width, interval_count = _distinct_intervals(low, width)
     for begin in range(0, m, _BLOCK):
         size = min(_BLOCK, m - begin)
-        whitened = np.empty((d, size))
+        block = np.empty((d, size))
         for axis in range(d):
             for k in range(size):
-                whitened[axis, k] = points[begin + k, axis] * inverse_length_scale[axis]
-        _line_cross(start, span, whitened, lines, begin, out)
+                block[axis, k] = points[begin + k, axis] * inverse_length_scale[axis]
+        rows = out[begin : begin + size]
+        _line_cross(start, span, block, lines, rows)
         if boxes.size > 0:
             values = np.empty((boxes.size, size))
-            _box_rows(interval, interval_low, interval_width, interval_count, whitened, values)
+            box_rows(low, width, block, values)
             for k in range(size):
                 for b in range(boxes.size):
-                    out[begin + k, boxes[b]] = values[b, k]
+                    rows[k, boxes[b]] = values[b, k]
 
 
 @compiled
@@ -257,41 +267,30 @@ def prior_variance_into(
 
 
 @compiled
-def _line_cross(
-    start: _Floats, span: _Floats, points: _Floats, columns: _Integers, begin: int, out: _Floats
-) -> None:
-    """Kernel between lines and points (d, m), into rows of out from begin on."""
-    d, m = points.shape
-    s = np.empty(m)
-    r2 = np.empty(m)
-    value = np.empty(m)
-    for i in range(columns.size):
-        length = np.sqrt(np.sum(span[:, i] * span[:, i]))
-        s[:] = 0.0
-        r2[:] = 0.0
-        for axis in range(d):
-            t = span[axis, i] / length if length > 0.0 else 0.0
-            for k in range(m):
-                offset = points[axis, k] - start[axis, i]
-                s[k] += offset * t
-                r2[k] += offset * offset
-        for k in range(m):
-            r2[k] -= s[k] * s[k]
-        line_averages(s, r2, length, value)
-        for k in range(m):
-            out[begin + k, columns[i]] = value[k]
+def _interval_variance(length: float) -> float:
+    """Average of the kernel between two points of one interval."""
+    if length == 0.0:
+        return 1.0
+    size = rule_size(length)
+    node = np.empty(size)
+    weight = np.empty(size)
+    fill_rule(length, node, weight)
+    total = 0.0
+    for q in range(size):
+        total += weight[q] * interval_average(node[q] * length, length)
+    return total
 
 
 @compiled
-def _interval_variance(length: float) -> float:
-    """Average of the kernel between two points of one interval."""
-    total = 0.0
-    size = panel_count(length) * node_count(length)
-    node = np.empty(size)
-    weight = np.empty(size)
-    for q in range(fill_rule(length, node, weight)):
-        total += weight[q] * interval_average(node[q] * length, length)
-    return total
+def _of_kind(kinds: NDArray[np.uint8], boxes: bool) -> _Integers:
+    """Indices of the boxes, or of all that are not: points and segments are lines."""
+    chosen = np.empty(kinds.size, np.uint64)
+    found = np.uint64(0)
+    for i in range(kinds.size):
+        if (kinds[i] == _BOX) == boxes:
+            chosen[found] = i
+            found += np.uint64(1)
+    return chosen[:found].copy()
 
 
 @compiled
@@ -303,10 +302,11 @@ def _whitened(
     start = np.empty((d, chosen.size))
     span = np.empty((d, chosen.size))
     for axis in range(d):
+        scale = inverse_length_scale[axis]
         for i in range(chosen.size):
             first = geometry[chosen[i], 0, axis]
-            start[axis, i] = first * inverse_length_scale[axis]
-            span[axis, i] = (geometry[chosen[i], 1, axis] - first) * inverse_length_scale[axis]
+            start[axis, i] = first * scale
+            span[axis, i] = (geometry[chosen[i], 1, axis] - first) * scale
     return start, span
 
 
@@ -314,11 +314,14 @@ def _whitened(
 def _line_nodes(start: _Floats, span: _Floats) -> tuple[_Floats, _Floats, _Integers]:
     """Quadrature nodes (d, N) and weights (N,) of n lines; line j owns first[j]:first[j + 1]."""
     d, n = start.shape
-    first = np.zeros(n + 1, np.int64)
+    first = np.zeros(n + 1, np.uint64)
     length = np.empty(n)
     for j in range(n):
-        length[j] = np.sqrt(np.sum(span[:, j] * span[:, j]))
-        first[j + 1] = first[j] + panel_count(length[j]) * node_count(length[j])
+        length2 = 0.0
+        for axis in range(d):
+            length2 += span[axis, j] * span[axis, j]
+        length[j] = np.sqrt(length2)
+        first[j + 1] = first[j] + np.uint64(rule_size(length[j]))
     position = np.empty(first[n])
     weight = np.empty(first[n])
     node = np.empty((d, first[n]))
@@ -331,84 +334,31 @@ def _line_nodes(start: _Floats, span: _Floats) -> tuple[_Floats, _Floats, _Integ
 
 
 @compiled
-def _distinct_intervals(
-    low: _Floats, width: _Floats
-) -> tuple[_Integers, _Floats, _Floats, _Integers]:
-    """Distinct sides of boxes, per axis: boxes of one lattice share a few.
-
-    Returns:
-        Which interval each side is, (d, n); low and width of the intervals, (d, n) of which
-        the first count[axis] are used; count (d,).
-    """
-    d, n = low.shape
-    interval = np.empty((d, n), np.int64)
-    interval_low = np.empty((d, n))
-    interval_width = np.empty((d, n))
-    count = np.zeros(d, np.int64)
-    for axis in range(d):
-        for i in range(n):
-            found = 0
-            while found < count[axis] and not (
-                interval_low[axis, found] == low[axis, i]
-                and interval_width[axis, found] == width[axis, i]
-            ):
-                found += 1
-            interval[axis, i] = found
-            if found == count[axis]:
-                interval_low[axis, found] = low[axis, i]
-                interval_width[axis, found] = width[axis, i]
-                count[axis] += 1
-    return interval, interval_low, interval_width, count
-
-
-@compiled
-def _box_gram(
-    boxes: _Integers,
-    interval: _Integers,
-    interval_low: _Floats,
-    interval_width: _Floats,
-    interval_count: _Integers,
-    out: _Floats,
+def _line_cross(
+    start: _Floats, span: _Floats, points: _Floats, columns: _Integers, out: _Floats
 ) -> None:
-    """Kernel between boxes, as a product over axes of values looked up per pair of intervals."""
-    d, n = interval.shape
-    for axis in range(d):
-        used = interval_count[axis]
-        table = line_gram(
-            interval_low[axis : axis + 1, :used], interval_width[axis : axis + 1, :used]
-        )
-        for i in range(n):
-            row = table[interval[axis, i]]
-            for j in range(n):
-                value = row[interval[axis, j]]
-                if axis > 0:
-                    value *= out[boxes[i], boxes[j]]
-                out[boxes[i], boxes[j]] = value
-
-
-@compiled
-def _box_rows(
-    interval: _Integers,
-    interval_low: _Floats,
-    interval_width: _Floats,
-    interval_count: _Integers,
-    points: _Floats,
-    out: _Floats,
-) -> None:
-    """Kernel between n boxes and m points (d, m), into out (n, m)."""
-    d, n = interval.shape
-    m = points.shape[1]
-    offset = np.empty(m)
-    for axis in range(d):
-        table = np.empty((interval_count[axis], m))
-        for u in range(interval_count[axis]):
+    """Kernel between lines (d, n) and points (d, m), into the given columns of out."""
+    d, m = points.shape
+    s = np.empty(m)
+    r2 = np.empty(m)
+    value = np.empty(m)
+    for i in range(columns.size):
+        length2 = 0.0
+        for axis in range(d):
+            length2 += span[axis, i] * span[axis, i]
+        length = np.sqrt(length2)
+        s[:] = 0.0
+        r2[:] = 0.0
+        for axis in range(d):
+            t = span[axis, i] / length if length > 0.0 else 0.0
+            origin = start[axis, i]
             for k in range(m):
-                offset[k] = points[axis, k] - interval_low[axis, u]
-            interval_averages(offset, interval_width[axis, u], table[u])
-        for i in range(n):
-            row = table[interval[axis, i]]
-            if axis == 0:
-                out[i] = row
-            else:
-                for k in range(m):
-                    out[i, k] *= row[k]
+                offset = points[axis, k] - origin
+                s[k] += offset * t
+                r2[k] += offset * offset
+        for k in range(m):
+            r2[k] -= s[k] * s[k]
+        line_averages(s, r2, length, value)
+        column = columns[i]
+        for k in range(m):
+            out[k, column] = value[k]
