@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.jit import compiled, inlined
+from gpom_core.jit import compiled, vectorised
 from gpom_core.quadrature import fill_rule, rule_size
 from gpom_core.special import erf, exp_neg
 
@@ -28,7 +28,7 @@ _SHORT: Final = 0.45
 CUTOFF: Final = 6.8
 
 
-@inlined
+@vectorised
 def _short_series(length: float) -> tuple[float, float, float, float, float]:
     """Coefficients a of sum_k a_k c^2k exp(-c^2 / 2), the average over an interval centred at -c.
 
@@ -46,7 +46,7 @@ def _short_series(length: float) -> tuple[float, float, float, float, float]:
     )
 
 
-@inlined
+@vectorised
 def interval_average(s: float, length: float) -> float:
     """Average of exp(-(s - u)^2 / 2) over u in [0, length]."""
     if length > _SHORT:

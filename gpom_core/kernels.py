@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gpom_core.averages import interval_average, line_averages, line_gram
 from gpom_core.boxes import box_gram, box_rows
-from gpom_core.jit import compiled, inlined
+from gpom_core.jit import compiled, vectorised
 from gpom_core.quadrature import fill_rule, rule_size
 from gpom_core.special import exp_neg
 
@@ -138,7 +138,7 @@ def _check(
     return checked_kinds, shapes, np.full(d, 1.0 / scale)
 
 
-@inlined
+@vectorised
 def point_point(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> float:
     """Kernel of a point, given as its geometry row (2, d), and a query point (d,)."""
     if point.size == 2:  # spelled out: a loop over two axes takes three times as long
@@ -152,7 +152,7 @@ def point_point(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -
     return exp_neg(-0.5 * r2)
 
 
-@inlined
+@vectorised
 def point_segment(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> float:
     """Average over a segment, given as its geometry row (2, d), at a query point (d,)."""
     along = 0.0
@@ -170,7 +170,7 @@ def point_segment(shape: _Floats, point: _Floats, inverse_length_scale: _Floats)
     return exp_neg(-0.5 * (squared - s * s)) * interval_average(s, length)
 
 
-@inlined
+@vectorised
 def point_box(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> float:
     """Average over a box, given as its geometry row (2, d), at a query point (d,)."""
     if point.size == 2:
@@ -183,7 +183,7 @@ def point_box(shape: _Floats, point: _Floats, inverse_length_scale: _Floats) -> 
     return product
 
 
-@inlined
+@vectorised
 def _side_average(
     shape: _Floats, point: _Floats, inverse_length_scale: _Floats, axis: int
 ) -> float:

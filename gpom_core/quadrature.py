@@ -34,10 +34,25 @@ NODES, WEIGHTS = _unit_rules()
 
 
 @compiled
+def panel_count(length: float) -> int:
+    """Equal panels that a whitened length is cut into, so that each fits the longest rule."""
+    return max(1, int(np.ceil(length / LONGEST[MAX_NODES - 1])))
+
+
+@compiled
+def node_count(length: float) -> int:
+    """Nodes of each panel of one whitened length."""
+    panels = panel_count(length)
+    n = 1
+    while n < MAX_NODES and length > panels * LONGEST[n - 1]:
+        n += 1
+    return n
+
+
+@compiled
 def rule_size(length: float) -> int:
-    """Number of nodes for one whitened length."""
-    panels, n = _panels(length)
-    return panels * n
+    """Number of nodes for one whitened length, all panels together."""
+    return panel_count(length) * node_count(length)
 
 
 @compiled
@@ -46,19 +61,10 @@ def fill_rule(length: float, nodes: NDArray[np.float64], weights: NDArray[np.flo
 
     Both outputs need room for `rule_size(length)` values, which is the number returned.
     """
-    panels, n = _panels(length)
+    panels = panel_count(length)
+    n = node_count(length)
     for panel in range(panels):
         for q in range(n):
             nodes[panel * n + q] = (panel + NODES[n - 1, q]) / panels
             weights[panel * n + q] = WEIGHTS[n - 1, q] / panels
     return panels * n
-
-
-@compiled
-def _panels(length: float) -> tuple[int, int]:
-    """Equal panels that a whitened length is cut into, and nodes for each."""
-    panels = max(1, int(np.ceil(length / LONGEST[MAX_NODES - 1])))
-    n = 1
-    while n < MAX_NODES and length > panels * LONGEST[n - 1]:
-        n += 1
-    return panels, n

@@ -7,7 +7,7 @@ need. NaN gives NaN.
 
 import numpy as np
 
-from gpom_core.jit import inlined
+from gpom_core.jit import vectorised
 
 _LOG2_E = 1.4426950408889634
 _LN_2 = 0.6931471805599453
@@ -18,7 +18,7 @@ _ERF_CLAMP = 4.9  # 1 - erf(4.9) = 4e-12
 _ERF_SCALE = 2.0 / _ERF_CLAMP**2  # maps x^2 to v in [-1, 1]
 
 
-@inlined
+@vectorised
 def exp_neg(x: float) -> float:
     """exp(x) for x <= 0, absolute error below 1e-12; exactly 0 below -708.
 
@@ -42,7 +42,7 @@ def exp_neg(x: float) -> float:
     return 0.0 if x < _EXP_UNDERFLOW else p * power
 
 
-@inlined
+@vectorised
 def erf(x: float) -> float:
     """Error function for any x, exactly odd, absolute error below 1e-11.
 
