@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,30 @@ class TrainingError(GpomError):
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """Of one expert's kernel: length scale in metres, standard deviation of the signal."""
+    """Of one expert: its kernel, and how far to believe its evidence.
+
+    Attributes:
+        length_scale_m, signal_std: of the kernel (eq. 6).
+        hit_noise_scale, free_noise_scale: factors on the noise's standard deviation, of hits and
+            of free evidence.
+    """
 
     length_scale_m: float
     signal_std: float
+    hit_noise_scale: float = 1.0
+    free_noise_scale: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("length_scale_m", "signal_std"):
+        for name in ("length_scale_m", "signal_std", "hit_noise_scale", "free_noise_scale"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value}, expected a positive number")
+
+    def noise_variance(self, observations: Observations) -> NDArray[np.float64]:
+        """Noise of each observation, (n,)."""
+        hit = observations.targets > 0.0
+        scale = np.where(hit, self.hit_noise_scale, self.free_noise_scale)
+        return np.asarray(observations.noise_variance * scale**2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +50,7 @@ class Expert:
     """A trained expert over n observations; immutable.
 
     Attributes:
+        observations: with the noise that the expert was trained with.
         weights: (n,) alpha = K^-1 y, where K holds the noise.
         precision: (n, n) K^-1.
         log_likelihood: log marginal likelihood of the targets.
@@ -67,9 +82,11 @@ def train(observations: Observations, hyperparameters: Hyperparameters) -> Exper
     """
     if len(observations) == 0:
         raise TrainingError("an expert needs at least one observation, got none")
+    noise_variance = hyperparameters.noise_variance(observations)
+    observations = replace(observations, noise_variance=noise_variance)
     k = gram(observations.kinds, observations.geometry, hyperparameters.length_scale_m)
     k *= hyperparameters.signal_std**2
-    k[np.diag_indices_from(k)] += observations.noise_variance
+    k[np.diag_indices_from(k)] += noise_variance
     log_determinant = lapack.inverse_spd(k, lapack.ADDRESSES)
     if not np.isfinite(log_determinant):
         raise TrainingError(
