@@ -3,7 +3,7 @@
 Rooms, from the ground up; each may use those above it in this list, and gpom_core:
 
 1. errors: the clients' branch of the tree of errors. children: processes that a command starts.
-2. keys: names on zenoh. log_reader: what a reader of logs offers. world: geometry of simulated
+2. keys: names and addresses. log_reader: what a reader of logs offers. world: geometry of simulated
    sites. answers: what the map service answers.
 3. link: a zenoh session and one stream on it. carmen: one format of logs. building: a furnished
    site. sensor: a simulated scanner. calls: the HTTP interface as values.
@@ -12,8 +12,8 @@ Rooms, from the ground up; each may use those above it in this list, and gpom_co
 5. simulate: robots that drive and scan. protocol: how accuracy is measured. dispatch: scans sent
    when they are due.
 6. replay: a log as one robot or several. fleet: robots of one process on the way to the map.
-   contenders: maps to measure.
-7. options, demo, evaluate, *_command: the commands.
+   contenders: maps to measure. options: that commands share.
+7. demo, evaluate, *_command: the commands.
 8. cli: the command line.
 
 The names below can be imported from `clients` itself.

@@ -76,11 +76,6 @@ class Report:
     drained: bool
     stopped: bool
 
-    @property
-    def complete(self) -> bool:
-        """Whether nothing that was sent can have been lost on the way to the service."""
-        return self.drained and not self.interruptions
-
 
 def await_map(senders: Iterable[Sender], timeout_s: float, stop: Event) -> bool:
     """Wait until the map service receives from every sender.

@@ -17,7 +17,6 @@ from rich.progress import (
 
 from clients.children import stop_on_signal
 from clients.dispatch import Departure, Report, await_map, dispatch
-from clients.errors import DeliveryError
 from clients.keys import StreamKeys
 from clients.link import SessionSettings, open_session
 from clients.publisher import ScanPublisher
@@ -89,17 +88,13 @@ def describe(report: Report, names: Sequence[str]) -> str:
     )
 
 
-def refuse_losses(report: Report) -> None:
-    """Raise DeliveryError when scans may be missing in the map."""
-    if report.complete:
-        return
-    reason = (
-        f"the link to the map service broke {report.interruptions} time(s)"
-        if report.interruptions
-        else "the map service had not taken the last scans when this ended"
-    )
-    message = f"{reason}, so scans may be missing in the map; publish them again"
-    raise DeliveryError(message)
+def losses(report: Report) -> str | None:
+    """Say why scans may be missing in the map; None when none can be."""
+    if report.interruptions:
+        return "the map service went away meanwhile, so scans may be missing in the map"
+    if not report.drained:
+        return "the map service had not taken the last scans, so some may be missing in the map"
+    return None
 
 
 def _progress(console: Console) -> Progress:

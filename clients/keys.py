@@ -1,10 +1,12 @@
-"""Names on zenoh: where the scans of one sensor of one robot go, and where the map service is."""
+"""Names and addresses: where scans go on zenoh, and where the map service is by default."""
 
 from dataclasses import dataclass
 
 from gpom_core.errors import ConfigurationError
 
 DEFAULT_PREFIX = "gpom/v1/site"
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_URL = "http://127.0.0.1:8080"
 
 # Wildcards, separators and parameters of zenoh key expressions.
 _FORBIDDEN = "/*$#?"

@@ -10,11 +10,9 @@ from typing import Literal, NamedTuple, Self
 import zenoh
 
 from clients.errors import DeliveryError
-from clients.keys import StreamKeys
+from clients.keys import DEFAULT_ENDPOINT, StreamKeys
 from gpom_core.errors import ConfigurationError
 from gpom_core.wire import ENCODING
-
-DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 
 _MICROSECONDS = 1e6
 _MILLISECONDS = 1e3

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from clients import calls
 from clients.answers import MapPrediction, MapStatus, PointPrediction
 from clients.calls import Call
+from clients.keys import DEFAULT_URL
 from gpom_core.errors import ConfigurationError
 
-DEFAULT_URL = "http://127.0.0.1:8080"
 DEFAULT_TIMEOUT_S = 30.0
 
 T = TypeVar("T")

@@ -4,12 +4,11 @@ from typing import Annotated
 
 import typer
 
-from clients.keys import DEFAULT_PREFIX
+from clients.keys import DEFAULT_ENDPOINT, DEFAULT_PREFIX, DEFAULT_URL
 from gpom_core.errors import ConfigurationError
 
-DEFAULT_ENDPOINTS = ["tcp/127.0.0.1:7447"]
+DEFAULT_ENDPOINTS = [DEFAULT_ENDPOINT]
 DEFAULT_WAIT_S = 10.0
-DEFAULT_URL = "http://127.0.0.1:8080"
 
 Connect = Annotated[
     list[str], typer.Option(help="zenoh router to connect to; may be repeated.", metavar="ENDPOINT")

@@ -12,8 +12,8 @@ from typing import Protocol, Self
 import zenoh
 
 from clients.errors import DeliveryError
-from clients.keys import DEFAULT_PREFIX, StreamKeys
-from clients.link import DEFAULT_ENDPOINT, Parcel, ScanLink, SessionSettings, open_session
+from clients.keys import DEFAULT_ENDPOINT, DEFAULT_PREFIX, StreamKeys
+from clients.link import Parcel, ScanLink, SessionSettings, open_session
 from gpom_core.scan import Scan
 from gpom_core.wire import encode
 

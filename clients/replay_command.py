@@ -6,7 +6,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from clients.fleet import FleetSettings, describe, refuse_losses, run_fleet
+from clients.errors import DeliveryError
+from clients.fleet import FleetSettings, describe, losses, run_fleet
 from clients.logs import LogReader, NoReturns, ReadOptions, open_log
 from clients.options import (
     DEFAULT_ENDPOINTS,
@@ -77,7 +78,8 @@ def replay(  # noqa: PLR0913, PLR0917 - every option is an argument
     held_out = len(log) - len(departures)
     left_out = f"; {held_out} held out" if skip_held_out else ""
     typer.echo(f"{file.name}: {describe(report, names)}{left_out}")
-    refuse_losses(report)
+    if (lost := losses(report)) is not None:
+        raise DeliveryError(f"{lost}; replay the log again")
 
 
 def _warn_of_skipped_lines(log: LogReader, errors: Console) -> None:

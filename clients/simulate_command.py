@@ -12,7 +12,7 @@ from rich.console import Console
 
 from clients.building import furnished_building
 from clients.dispatch import Departure
-from clients.fleet import FleetSettings, describe, run_fleet
+from clients.fleet import FleetSettings, describe, losses, run_fleet
 from clients.options import (
     DEFAULT_ENDPOINTS,
     DEFAULT_PREFIX,
@@ -25,6 +25,8 @@ from clients.options import (
 from clients.replay import robot_names
 from clients.sensor import RangeSensor
 from clients.simulate import RobotSimulator
+
+_LATE_S = 1.0
 
 
 def simulate(  # noqa: PLR0913, PLR0917 - every option is an argument
@@ -80,12 +82,14 @@ def simulate(  # noqa: PLR0913, PLR0917 - every option is an argument
         Console(stderr=True),
     )
     typer.echo(describe(report, names))
-    if report.most_late_s > 1.0:
-        typer.echo(
-            f"this machine was too slow: scans came up to {report.most_late_s:.1f} s late; "
-            "ask for fewer robots, beams or scans per second",
-            err=True,
+    if (lost := losses(report)) is not None:
+        typer.echo(f"gpom: {lost}", err=True)
+    elif report.most_late_s > _LATE_S:
+        message = (
+            f"gpom: this machine is too slow, scans came up to {report.most_late_s:.1f} s late; "
+            "ask for fewer robots, beams or scans per second"
         )
+        typer.echo(message, err=True)
 
 
 def _departures(

@@ -20,6 +20,7 @@ def router_config(endpoint: str) -> zenoh.Config:
         "mode": "router",
         "listen/endpoints": [endpoint],
         "adminspace/enabled": True,  # tells the port that was picked
+        "scouting/delay": 0,  # nobody to wait for
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,

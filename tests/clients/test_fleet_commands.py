@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,24 @@ def test_replay_says_that_the_map_left_for_good(fake_map, log, capsys):
     assert run(["replay", log, *flags]) == 1
     assert "went away after" in capsys.readouterr().err
     leave.join()
+
+
+def test_replay_fails_when_scans_may_be_lost(fake_map, log, capsys):
+    def blink():
+        fake_map.wait(1)
+        fake_map.vanish()
+        time.sleep(0.2)
+        fake_map.subscribe()
+        fake_map.appear()
+
+    gap = threading.Thread(target=blink)
+    gap.start()
+    flags = ["--robot", "r", "--rate", "40", "--connect", fake_map.endpoint]
+    assert run(["replay", log, *flags]) == 1
+    gap.join()
+    shown = capsys.readouterr()
+    assert "published 40 scans" in shown.out
+    assert "went away meanwhile, so scans may be missing" in shown.err
 
 
 @pytest.mark.parametrize(
