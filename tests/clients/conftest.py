@@ -23,7 +23,6 @@ def router_config(endpoint: str) -> zenoh.Config:
         "scouting/delay": 0,  # nobody to wait for
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
     }.items():
         config.insert_json5(key, json.dumps(value))
