@@ -43,6 +43,14 @@ class MapConfig(BaseModel):
     # Experts
     length_scale_m: float = Field(0.2, gt=0.01)
     signal_std: float = Field(1.0, gt=0.0)
+    learn_hyperparameters: bool = Field(
+        False, description="the length scale of each expert, by marginal likelihood"
+    )
+    learning_spread: float = Field(
+        0.1, gt=0.0, description="of learned length scales around length_scale_m, in logarithms"
+    )
+    learning_evaluations: int = Field(15, ge=1, description="of the likelihood, per training")
+    learning_budget_s: float = Field(1.0, gt=0.0, description="per training of one expert")
 
     # Answers
     known_variance_ratio: float = Field(

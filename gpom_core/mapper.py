@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +14,19 @@ from gpom_core.calibration import DEFAULT_SLOPE, Calibration
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence, UpdateReport
 from gpom_core.expert import Expert, Hyperparameters, train
+from gpom_core.learning import LearningRule, learn
+from gpom_core.member import TILE_M, Bounds, Member
 from gpom_core.observations import Observations
 from gpom_core.reach import reach_of
 from gpom_core.recalibration import recalibrated
 from gpom_core.scan import Scan
-from gpom_core.snapshot import CUTOFF_SCALES, TILE_M, Bounds, Member, Snapshot
+from gpom_core.snapshot import CUTOFF_SCALES, Snapshot
 
 __all__ = ["Mapper", "TrainedExpert", "TrainingJob", "UpdateReport"]
 
 TrainedExpert = Member
 
-CALIBRATE_AFTER = 0.5  # of the map trained anew since the last calibration
+CALIBRATE_AFTER = 2.0  # times the map was trained anew since the last calibration
 SLOPE_TOLERANCE = 0.02  # smaller changes move no probability by more than 0.003
 
 
@@ -36,6 +39,8 @@ class TrainingJob:
     observations: Observations
     hyperparameters: Hyperparameters
     line: NDArray[np.float64]
+    learning: LearningRule | None = None
+    learned_before: Hyperparameters | None = None
 
     def run(self) -> TrainedExpert:
         """Train the expert.
@@ -43,11 +48,20 @@ class TrainingJob:
         Raises:
             TrainingError: the covariance is not positive definite.
         """
-        expert: Expert = train(self.observations, self.hyperparameters)
+        chosen = self.hyperparameters
+        if self.learning is not None:
+            chosen = learn(
+                self.observations,
+                chosen,
+                rule=self.learning,
+                start=self.learned_before,
+                clock=monotonic,
+            ).hyperparameters
+        expert: Expert = train(self.observations, chosen)
         geometry = self.observations.geometry
         low, high = geometry.min(axis=(0, 1)), geometry.max(axis=(0, 1))
         bounds: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-        cutoff = CUTOFF_SCALES * self.hyperparameters.length_scale_m
+        cutoff = CUTOFF_SCALES * chosen.length_scale_m
         return TrainedExpert(
             cluster_id=self.cluster_id,
             revision=self.revision,
@@ -58,12 +72,29 @@ class TrainingJob:
         )
 
 
+def learning_rule(config: MapConfig) -> LearningRule | None:
+    """How experts learn online: the length scale alone.
+
+    A committee shares one prior, so its signal stays. Noise cannot be learned from evidence that
+    never contradicts itself, as most here: it goes to zero (measured, see ARCHITECTURE).
+    """
+    if not config.learn_hyperparameters:
+        return None
+    return LearningRule(
+        spread=config.learning_spread,
+        evaluations=config.learning_evaluations,
+        budget_s=config.learning_budget_s,
+        learned=("length_scale_m",),
+    )
+
+
 class Mapper:
     """Grows a map from scans. One thread owns it; its snapshots may be read from any."""
 
     def __init__(self, config: MapConfig | None = None) -> None:
         self.config = config or MapConfig()
         self._evidence = Evidence(self.config)
+        self._learning = learning_rule(self.config)
         self._training: set[int] = set()
         self._gone: set[int] = set()
         self._scans = 0
@@ -142,9 +173,15 @@ class Mapper:
                         self.config.length_scale_m, self.config.signal_std
                     ),
                     line=self._evidence.line(cluster),
+                    learning=self._learning,
+                    learned_before=self._learned(cluster),
                 )
             )
         return jobs
+
+    def _learned(self, cluster: int) -> Hyperparameters | None:
+        member = self._snapshot.members.get(cluster)
+        return None if member is None else member.expert.hyperparameters
 
     def swap(self, trained: Sequence[TrainedExpert]) -> Snapshot:
         """Put trained experts into a new version of the map.
