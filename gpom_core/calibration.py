@@ -17,7 +17,7 @@ from scipy.special import log_ndtr, ndtr
 DEFAULT_SLOPE = 3.0  # before there is evidence to fit it: targets are +1 and -1, not infinite
 _SLOPE_BOUNDS = (0.05, 50.0)
 _OFFSET_BOUND = 10.0
-_PULL = 1e-3  # towards slope 1 and offset 0, so that little evidence cannot run away
+_PULL = 0.03  # of log slope towards the default and of the offset towards 0, for thin evidence
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,7 @@ def fit(
     share = share / share.sum()
 
     def loss(theta: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        pull = float(theta[0]) - np.log(DEFAULT_SLOPE)
         slope, offset = float(np.exp(theta[0])), float(theta[1]) if with_offset else 0.0
         root = 1.0 / np.sqrt(1.0 + slope**2 * variance)
         score = (slope * mean + offset) * root
@@ -66,10 +67,10 @@ def fit(
         # d log Phi(z) / dz = phi(z) / Phi(z), taken in logarithms where Phi underflows.
         ratio = sign * np.exp(-0.5 * score**2 - 0.5 * np.log(2.0 * np.pi) - log_p)
         by_slope = (mean - offset * slope * variance) * root**3 * slope
-        value = -float(share @ log_p) + _PULL * (theta[0] ** 2 + offset**2)
+        value = -float(share @ log_p) + _PULL * (pull**2 + offset**2)
         gradient = np.array(
             [
-                -float(share @ (ratio * by_slope)) + 2.0 * _PULL * theta[0],
+                -float(share @ (ratio * by_slope)) + 2.0 * _PULL * pull,
                 (-float(share @ (ratio * root)) + 2.0 * _PULL * offset) if with_offset else 0.0,
             ]
         )

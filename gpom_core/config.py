@@ -25,10 +25,10 @@ class MapConfig(BaseModel):
     coarsen_from_m: float = Field(0.2, ge=0.0, description="distance to a hit where they start to")
     hit_margin_m: float = Field(0.1, ge=0.0, le=1.0, description="not called free before a hit")
     max_range_m: float = Field(30.0, gt=0.0, le=300.0, description="beams are cut here")
-    hit_noise_std: float = Field(0.5, gt=0.0, description="of one hit, in units of the target")
+    hit_noise_std: float = Field(0.45, gt=0.0, description="of one hit, in units of the target")
     free_noise_std: float = Field(2.5, gt=0.0, description="of one traversal")
     hit_cap: float = Field(100.0, ge=1.0, description="evidence of a place never counts more")
-    free_cap: float = Field(100.0, ge=1.0)
+    free_cap: float = Field(1000.0, ge=1.0)
 
     # Clusters
     line_tolerance_m: float = Field(0.1, gt=0.0, description="distance of a hit from its line")
@@ -38,7 +38,9 @@ class MapConfig(BaseModel):
     retrain_gain: float = Field(
         0.1, gt=0.0, description="relative growth of known evidence that makes an expert dirty"
     )
-    near_surface_m: float = Field(0.8, ge=0.0, description="free areas this near follow the hit")
+    near_surface_m: float = Field(
+        1.2, ge=0.0, le=5.0, description="free areas this near follow the hit"
+    )
 
     # Experts
     length_scale_m: float = Field(0.2, gt=0.01)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from llvmlite import ir
@@ -19,86 +19,62 @@ from gpom_core.beams import BOX, POINT
 from gpom_core.committee import contribution
 from gpom_core.jit import compiled
 from gpom_core.kernels import point_box, point_point, point_segment
+from gpom_core.member import (
+    GEOMETRY,
+    KINDS,
+    MEMBERS,
+    PRECISION,
+    SECTOR_M,
+    SECTOR_TILES,
+    SIZE,
+    STARTS,
+    TILE_COUNT,
+    TILE_M,
+    TILES,
+    WEIGHTS,
+    Member,
+)
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
-
-if TYPE_CHECKING:
-    from gpom_core.snapshot import Member
-
-KINDS, GEOMETRY, WEIGHTS, PRECISION, MEMBERS = range(5)  # columns of `addresses`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sector:
-    """t x t tiles and the k experts whose evidence reaches them.
+    """A square of tiles and the k experts whose evidence reaches them.
 
     Attributes:
-        members: cluster number to expert; also keeps the arrays behind `addresses` alive.
-        addresses: (k, 5) int64 of kinds, geometry, weights, precision and the reach's members.
-        sizes: (k,) observations of each expert.
-        scales: (k, 2) inverse length scale and signal variance.
+        members: cluster number to expert; also keeps the arrays behind `tables` alive.
+        corner: (2,) low corner, metres.
+        tables: (k, 9) `Member.table` of each expert. scales: (k, 2) `Member.scales`.
         starts: (t * t + 1,) where each tile's entries begin.
         entries: (e, 3) expert, and the first and end of its members near the tile.
     """
 
     members: Mapping[int, Member]
-    addresses: NDArray[np.int64]
-    sizes: NDArray[np.int64]
+    corner: NDArray[np.float64]
+    tables: NDArray[np.int64]
     scales: NDArray[np.float64]
     starts: NDArray[np.int64]
     entries: NDArray[np.int64]
 
 
-def build_sector(members: Mapping[int, Member], ix: int, iy: int, tiles: int) -> Sector:
-    """Sector (ix, iy) of `tiles` x `tiles` tiles, from the experts that reach into it.
+def build_sector(members: Mapping[int, Member], key: int) -> Sector:
+    """The sector with this key, from the experts that reach into it.
 
     Experts are ordered by cluster number, so that sums do not depend on the order of training.
     """
     ordered = {c: members[c] for c in sorted(members)}
-    counts = np.zeros(tiles * tiles + 1, np.int64)
-    for member in ordered.values():
-        _count_entries(member.reach.tiles, ix, iy, tiles, counts)
-    starts = np.cumsum(counts)
-    entries = np.empty((int(starts[-1]), 3), np.int64)
-    cursor = starts[:-1].copy()
-    for k, member in enumerate(ordered.values()):
-        _fill_entries(member.reach.tiles, member.reach.starts, k, ix, iy, tiles, cursor, entries)
+    ix = (key >> TILE_BITS) - TILE_OFFSET
+    iy = (key & ((1 << TILE_BITS) - 1)) - TILE_OFFSET
+    tables = np.stack([m.table for m in ordered.values()])
+    starts, entries = _entries(tables, ix * SECTOR_TILES, iy * SECTOR_TILES)
     return Sector(
         members=ordered,
-        addresses=np.array([m.addresses for m in ordered.values()], np.int64).reshape(-1, 5),
-        sizes=np.array([len(m.expert.observations) for m in ordered.values()], np.int64),
-        scales=np.array([m.scales for m in ordered.values()]).reshape(-1, 2),
+        corner=np.array([ix * SECTOR_M, iy * SECTOR_M]),
+        tables=tables,
+        scales=np.stack([m.scales for m in ordered.values()]),
         starts=starts,
         entries=entries,
     )
-
-
-@compiled
-def _local(key: int, ix: int, iy: int, tiles: int) -> int:
-    """Number of a tile inside sector (ix, iy), or -1."""
-    x = (key >> TILE_BITS) - TILE_OFFSET - ix * tiles
-    y = (key & ((1 << TILE_BITS) - 1)) - TILE_OFFSET - iy * tiles
-    return x * tiles + y if 0 <= x < tiles and 0 <= y < tiles else -1
-
-
-@compiled
-def _count_entries(keys: Any, ix: int, iy: int, tiles: int, counts: Any) -> None:
-    for t in range(len(keys)):
-        local = _local(keys[t], ix, iy, tiles)
-        if local >= 0:
-            counts[local + 1] += 1
-
-
-@compiled
-def _fill_entries(
-    keys: Any, starts: Any, k: int, ix: int, iy: int, tiles: int, cursor: Any, entries: Any
-) -> None:
-    for t in range(len(keys)):
-        local = _local(keys[t], ix, iy, tiles)
-        if local >= 0:
-            entries[cursor[local], 0] = k
-            entries[cursor[local], 1] = starts[t]
-            entries[cursor[local], 2] = starts[t + 1]
-            cursor[local] += 1
 
 
 @intrinsic
@@ -109,6 +85,45 @@ def _pointer(typing_context: Any, address: Any) -> Any:
         return builder.inttoptr(args[0], ir.IntType(8).as_pointer())
 
     return types.voidptr(types.int64), generate
+
+
+@compiled
+def _local(key: int, x0: int, y0: int) -> int:
+    """Number of a tile inside the sector whose first tile is (x0, y0), or -1."""
+    x = (key >> TILE_BITS) - TILE_OFFSET - x0
+    y = (key & ((1 << TILE_BITS) - 1)) - TILE_OFFSET - y0
+    inside = 0 <= x < SECTOR_TILES and 0 <= y < SECTOR_TILES
+    return x * SECTOR_TILES + y if inside else -1
+
+
+@compiled
+def _entries(
+    tables: NDArray[np.int64], x0: int, y0: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """`starts` and `entries` of a `Sector`, by counting first and filling then."""
+    starts = np.zeros(SECTOR_TILES * SECTOR_TILES + 1, np.int64)
+    for k in range(len(tables)):
+        tiles = carray(_pointer(tables[k, TILES]), (tables[k, TILE_COUNT],), np.int64)
+        for t in range(len(tiles)):
+            local = _local(tiles[t], x0, y0)
+            if local >= 0:
+                starts[local + 1] += 1
+    starts = np.cumsum(starts)
+    cursor = starts.copy()
+    entries = np.empty((starts[-1], 3), np.int64)
+    for k in range(len(tables)):
+        count = tables[k, TILE_COUNT]
+        tiles = carray(_pointer(tables[k, TILES]), (count,), np.int64)
+        first = carray(_pointer(tables[k, STARTS]), (count + 1,), np.int64)
+        for t in range(count):
+            local = _local(tiles[t], x0, y0)
+            if local >= 0:
+                e = cursor[local]
+                cursor[local] = e + 1
+                entries[e, 0] = k
+                entries[e, 1] = first[t]
+                entries[e, 2] = first[t + 1]
+    return starts, entries
 
 
 @compiled
@@ -125,10 +140,7 @@ def committee_sums(
     points: NDArray[np.float64],
     which: NDArray[np.int64],
     corner: NDArray[np.float64],
-    tile_m: float,
-    tiles: int,
-    addresses: NDArray[np.int64],
-    sizes: NDArray[np.int64],
+    tables: NDArray[np.int64],
     scales: NDArray[np.float64],
     starts: NDArray[np.int64],
     entries: NDArray[np.int64],
@@ -141,7 +153,7 @@ def committee_sums(
 
     Args:
         points: (n, 2) metres. which: numbers of the points that lie in this sector.
-        corner: (2,) low corner of the sector.
+        corner, tables, scales, starts, entries: of the `Sector`.
         negligible: kernel values below this share of the signal variance count as zero.
         precision, information: (n,) sums to add to.
     """
@@ -152,18 +164,18 @@ def committee_sums(
     inverse = np.empty(2)
     for w in which:
         x, y = points[w, 0], points[w, 1]
-        tx = min(max(int((x - corner[0]) / tile_m), 0), tiles - 1)
-        ty = min(max(int((y - corner[1]) / tile_m), 0), tiles - 1)
-        tile = tx * tiles + ty
+        tx = min(max(int((x - corner[0]) / TILE_M), 0), SECTOR_TILES - 1)
+        ty = min(max(int((y - corner[1]) / TILE_M), 0), SECTOR_TILES - 1)
+        tile = tx * SECTOR_TILES + ty
         for e in range(starts[tile], starts[tile + 1]):
             k = entries[e, 0]
-            n, signal = sizes[k], scales[k, 1]
+            n, signal = tables[k, SIZE], scales[k, 1]
             inverse[:] = scales[k, 0]
-            kinds = carray(_pointer(addresses[k, KINDS]), (n,), np.uint8)
-            geometry = carray(_pointer(addresses[k, GEOMETRY]), (n, 2, 2), np.float64)
-            weights = carray(_pointer(addresses[k, WEIGHTS]), (n,), np.float64)
-            inverse_k = carray(_pointer(addresses[k, PRECISION]), (n, n), np.float64)
-            members = carray(_pointer(addresses[k, MEMBERS]), (entries[e, 2],), np.int32)
+            kinds = carray(_pointer(tables[k, KINDS]), (n,), np.uint8)
+            geometry = carray(_pointer(tables[k, GEOMETRY]), (n, 2, 2), np.float64)
+            weights = carray(_pointer(tables[k, WEIGHTS]), (n,), np.float64)
+            inverse_k = carray(_pointer(tables[k, PRECISION]), (n, n), np.float64)
+            members = carray(_pointer(tables[k, MEMBERS]), (entries[e, 2],), np.int32)
             found, mean = 0, 0.0
             for s in range(entries[e, 1], entries[e, 2]):
                 i = members[s]

@@ -12,54 +12,12 @@ from numpy.typing import ArrayLike, NDArray
 from gpom_core.calibration import Calibration
 from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
-from gpom_core.expert import Expert
-from gpom_core.reach import TILE_BITS, TILE_OFFSET, Reach
+from gpom_core.member import SECTOR_M, Bounds, Member, sector_key
 from gpom_core.sector import Sector, build_sector, committee_sums
 
-Bounds = tuple[float, float, float, float]
-
-TILE_M = 0.5  # of the index; smaller tiles cost memory, larger ones time (see ARCHITECTURE)
-SECTOR_TILES = 16
-SECTOR_M = TILE_M * SECTOR_TILES
 NEGLIGIBLE = 3e-4  # of the signal variance, about 4 length scales away
 CUTOFF_SCALES = 4.0
 MAX_GRID_CELLS = 200_000_000
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Member:
-    """An expert in the committee, with its index of evidence.
-
-    Attributes:
-        line: (2, 2) ends of the cluster's line, metres.
-        bounds: of the evidence. revision: of the evidence that it was trained on.
-    """
-
-    cluster_id: int
-    revision: int
-    expert: Expert
-    reach: Reach
-    line: NDArray[np.float64]
-    bounds: Bounds
-
-    @property
-    def addresses(self) -> tuple[int, int, int, int, int]:
-        """Addresses of the arrays that a `Sector` reads."""
-        o = self.expert.observations
-        arrays = (o.kinds, o.geometry, self.expert.weights, self.expert.precision)
-        return (*(a.ctypes.data for a in arrays), self.reach.members.ctypes.data)  # type: ignore[return-value]
-
-    @property
-    def scales(self) -> tuple[float, float]:
-        """Inverse length scale, 1/m, and signal variance."""
-        h = self.expert.hyperparameters
-        return 1.0 / h.length_scale_m, h.signal_std**2
-
-    def sectors(self) -> set[tuple[int, int]]:
-        """Indices of the sectors that the evidence reaches."""
-        x = ((self.reach.tiles >> TILE_BITS) - TILE_OFFSET) // SECTOR_TILES
-        y = ((self.reach.tiles & ((1 << TILE_BITS) - 1)) - TILE_OFFSET) // SECTOR_TILES
-        return set(zip(x.tolist(), y.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +93,7 @@ class Snapshot:
     known_variance_ratio: float = 0.8
     calibration: Calibration = field(default_factory=Calibration)
     members: Mapping[int, Member] = field(default_factory=dict)
-    sectors: Mapping[tuple[int, int], Sector] = field(default_factory=dict)
+    sectors: Mapping[int, Sector] = field(default_factory=dict)
     changed_bounds: Bounds | None = None
 
     @cached_property
@@ -155,9 +113,9 @@ class Snapshot:
             sector = self.sectors.get(key)
             if sector is not None:
                 committee_sums(
-                    points, which, np.array(key) * SECTOR_M, TILE_M, SECTOR_TILES,
-                    sector.addresses, sector.sizes, sector.scales, sector.starts, sector.entries,
-                    int(fusion), NEGLIGIBLE, precision, information,
+                    points, which, sector.corner, sector.tables, sector.scales,
+                    sector.starts, sector.entries, int(fusion), NEGLIGIBLE,
+                    precision, information,
                 )  # fmt: skip
         return precision, information
 
@@ -213,10 +171,10 @@ class Snapshot:
     def swapped(self, new: Iterable[Member], gone: Iterable[int] = ()) -> Snapshot:
         """The next version: `new` experts in place of their old selves, `gone` ones left out."""
         members, sectors = dict(self.members), dict(self.sectors)
-        touched: dict[tuple[int, int], dict[int, Member]] = {}
+        touched: dict[int, dict[int, Member]] = {}
         areas: list[Bounds] = []
 
-        def content(key: tuple[int, int]) -> dict[int, Member]:
+        def content(key: int) -> dict[int, Member]:
             if key not in touched:
                 touched[key] = dict(sectors[key].members) if key in sectors else {}
             return touched[key]
@@ -226,16 +184,16 @@ class Snapshot:
             old = members.pop(cluster, None)
             if old is not None:
                 areas.append(old.bounds)
-                for key in old.sectors():
+                for key in old.sectors:
                     content(key).pop(cluster, None)
         for member in replaced:
             members[member.cluster_id] = member
             areas.append(member.bounds)
-            for key in member.sectors():
+            for key in member.sectors:
                 content(key)[member.cluster_id] = member
         for key, inside in touched.items():
             if inside:
-                sectors[key] = build_sector(inside, *key, SECTOR_TILES)
+                sectors[key] = build_sector(inside, key)
             else:
                 sectors.pop(key, None)
         return Snapshot(
@@ -286,9 +244,7 @@ def union(areas: Iterable[Bounds]) -> Bounds | None:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
-def _by_sector(
-    points: NDArray[np.float64], bounds: Bounds | None
-) -> dict[tuple[int, int], NDArray[np.int64]]:
+def _by_sector(points: NDArray[np.float64], bounds: Bounds | None) -> dict[int, NDArray[np.int64]]:
     """Numbers of the points in each sector; points no evidence can reach are left out."""
     if bounds is None or len(points) == 0:
         return {}
@@ -297,11 +253,7 @@ def _by_sector(
     if len(near) == 0:
         return {}
     index = np.floor(points[near] / SECTOR_M).astype(np.int64)
-    width = int(np.ptp(index[:, 0])) + 1
-    code = (index[:, 1] - index[:, 1].min()) * width + index[:, 0] - index[:, 0].min()
-    order = np.argsort(code, kind="stable")
-    cuts = np.flatnonzero(np.diff(code[order])) + 1
-    return {
-        (int(index[part[0], 0]), int(index[part[0], 1])): near[part]
-        for part in np.split(order, cuts)
-    }
+    keys = sector_key(index[:, 0], index[:, 1])
+    order = np.argsort(keys, kind="stable")
+    cuts = np.flatnonzero(np.diff(keys[order])) + 1
+    return {int(keys[part[0]]): near[part] for part in np.split(order, cuts)}
