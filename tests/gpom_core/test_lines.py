@@ -84,7 +84,9 @@ def test_no_hits_and_single_hits_are_runs_too() -> None:
 @pytest.mark.parametrize("angle_rad", [0.0, 0.3, 1.2, np.pi / 2, 2.5])
 def test_the_principal_axis_is_the_first_eigenvector(angle_rad: float) -> None:
     rng = np.random.default_rng(2)
-    turn = np.array([[np.cos(angle_rad), -np.sin(angle_rad)], [np.sin(angle_rad), np.cos(angle_rad)]])
+    turn = np.array(
+        [[np.cos(angle_rad), -np.sin(angle_rad)], [np.sin(angle_rad), np.cos(angle_rad)]]
+    )
     xy = (rng.normal(size=(500, 2)) * (2.0, 0.3)) @ turn.T + (1.0, -2.0)
     m = np.zeros(6)
     moments_of(xy[:200], m)
