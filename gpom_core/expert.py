@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,9 @@ from gpom_core import lapack
 from gpom_core.errors import GpomError
 from gpom_core.kernels import gram
 from gpom_core.observations import Observations
+
+Gram = Callable[[NDArray[np.uint8], NDArray[np.float64], float], NDArray[np.float64]]
+"""Kernel between all pairs of shapes, as `kernels.gram`."""
 
 
 class TrainingError(GpomError):
@@ -74,8 +78,13 @@ class Expert:
         return mean, np.clip(variance, 1e-9, self.hyperparameters.signal_std**2)
 
 
-def train(observations: Observations, hyperparameters: Hyperparameters) -> Expert:
+def train(
+    observations: Observations, hyperparameters: Hyperparameters, gram: Gram = gram
+) -> Expert:
     """Fit an expert to at least one observation.
+
+    Args:
+        gram: the kernel between all pairs of observations.
 
     Raises:
         TrainingError: the covariance is not positive definite, which finite evidence cannot cause.
