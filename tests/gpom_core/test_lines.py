@@ -32,7 +32,7 @@ def test_a_straight_wall_is_one_run() -> None:
 def test_a_corner_makes_two_runs_and_is_where_they_meet(turn_rad: float) -> None:
     there = along((-2.0, 1.0), (0.0, 1.0))
     on = 2.0 * np.linspace(0.0, 1.0, 41)[1:, None] * (np.cos(turn_rad), np.sin(turn_rad))
-    lengths = runs(np.concatenate([there, (0.0, 1.0) + on]))
+    lengths = runs(np.concatenate([there, on + np.array([0.0, 1.0])]))
     assert len(lengths) == 2
     # The turn is noticed once it has left the line by the tolerance.
     assert 0 <= lengths[0] - 41 <= np.ceil(TOLERANCE_M / np.sin(turn_rad) / 0.05) + 1
@@ -71,7 +71,7 @@ def test_runs_are_the_same_far_from_the_origin() -> None:
     wall = along((-2.0, 1.0), (0.0, 1.0)) + rng.normal(scale=0.02, size=(41, 2))
     other = along((0.0, 1.0), (0.0, 3.0)) + rng.normal(scale=0.02, size=(41, 2))
     xy = np.concatenate([wall, other])
-    assert runs(xy) == runs(xy + (1e6, -3e6))
+    assert runs(xy) == runs(xy + np.array([1e6, -3e6]))
 
 
 def test_no_hits_and_single_hits_are_runs_too() -> None:

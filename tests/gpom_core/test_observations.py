@@ -94,7 +94,7 @@ def test_observations_are_in_the_order_of_their_places() -> None:
     a, b = Evidence(MapConfig()), Evidence(MapConfig())
     for evidence, first, second in [(a, 1.03, 1.53), (b, 1.53, 1.03)]:
         for x in (first, second):
-            evidence.add(scan_of([2.0, 2.01], x, 0.02, first=0.01, step=0.02))
+            evidence.add(scan_of([3.03 - x, 3.04 - x], x, 0.02, first=0.01, step=0.02))
     order = [evidence.rows.keys[gather(evidence.rows, evidence.clusters, 0)] for evidence in (a, b)]
     assert len(order[0]) > 10
     assert np.array_equal(order[0], order[1])
