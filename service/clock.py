@@ -30,18 +30,19 @@ class ManualClock:
     """A clock that moves only when told."""
 
     def __init__(self, unix_s: float = 1_000_000_000.0) -> None:
-        self._now_s = unix_s
+        self._start_unix_s = unix_s
+        self._elapsed_s = 0.0
 
     def advance(self, seconds: float) -> None:
         """Let time pass."""
         if seconds < 0.0:
             raise ValueError(f"time does not go back, got {seconds} s")
-        self._now_s += seconds
+        self._elapsed_s += seconds
 
     def unix_s(self) -> float:
         """Seconds since the epoch."""
-        return self._now_s
+        return self._start_unix_s + self._elapsed_s
 
     def monotonic_s(self) -> float:
         """Seconds since some moment, never going back."""
-        return self._now_s
+        return self._elapsed_s

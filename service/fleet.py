@@ -35,10 +35,16 @@ class Fleet:
     _robots: dict[str, RobotStatus] = field(default_factory=dict, init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
 
-    def has_room(self, robot: str) -> bool:
-        """Tell whether scans of this robot can be taken: it is known, or there is room."""
+    def has_room(self, robot: str, newcomers: set[str] | None = None) -> bool:
+        """Tell whether scans of this robot can be taken: it is known, or there is room.
+
+        Args:
+            robot: its name.
+            newcomers: robots that were given room and whose scans are not noted yet.
+        """
         with self._lock:
-            return robot in self._robots or len(self._robots) < self.robots_max
+            strangers = {robot}.union(newcomers or ()).difference(self._robots)
+            return robot in self._robots or len(self._robots) + len(strangers) <= self.robots_max
 
     def saw_scan(self, robot: str, pose: Pose2D, lost: int, unix_s: float) -> RobotStatus | None:
         """Note an accepted scan.

@@ -90,14 +90,16 @@ class Ingest:
         admission = self._book.begin()
         records: list[ScanRecord] = []
         lost: list[int] = []
+        robots: set[str] = set()
         for envelope in envelopes:
-            record = self._decode(envelope, refused)
+            record = self._decode(envelope, robots, refused)
             if record is None:
                 continue
             judgement = admission.judge(SensorKey(record.robot, record.sensor), record.scan)
             if judgement.verdict is Verdict.STALE:
                 refused["stale"] += 1
                 continue
+            robots.add(record.robot)
             records.append(record)
             lost.append(judgement.lost)
         if not self._store(records, admission):
@@ -109,8 +111,10 @@ class Ingest:
             self._metrics.scans_refused.labels(reason).inc(count)
         return records
 
-    def _decode(self, envelope: Envelope, refused: Counter[str]) -> ScanRecord | None:
-        if not self._fleet.has_room(envelope.robot):
+    def _decode(
+        self, envelope: Envelope, robots: set[str], refused: Counter[str]
+    ) -> ScanRecord | None:
+        if not self._fleet.has_room(envelope.robot, robots):
             refused["too_many_robots"] += 1
             return None
         try:

@@ -1,6 +1,5 @@
 """The service without its web interface: the parts, put together, started and stopped in order."""
 
-import json
 import logging
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -169,8 +168,7 @@ class MapService:
     def _refuse(self, error: Exception) -> RemoteReply:
         self.metrics.remote_queries.labels("refused").inc()
         problem = problem_of(error)
-        body = json.dumps(problem.document()).encode()
-        return RemoteReply(body, problem.MEDIA_TYPE, is_error=True)
+        return RemoteReply(problem.encoded(), problem.MEDIA_TYPE, is_error=True)
 
     def _export_metrics(self) -> None:
         metrics, queue = self.metrics, self._ingest.queue

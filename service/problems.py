@@ -1,5 +1,6 @@
 """Errors as RFC 9457 problem details: one table from exception to status, for HTTP and zenoh."""
 
+import json
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any, ClassVar
@@ -60,6 +61,10 @@ class Problem:
     detail: str
     extensions: dict[str, Any] = field(default_factory=dict)
     headers: dict[str, str] = field(default_factory=dict)
+
+    def encoded(self) -> bytes:
+        """The same as JSON, for where there is no HTTP."""
+        return json.dumps(self.document()).encode()
 
     def document(self) -> dict[str, Any]:
         """The members of the problem details object."""

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 import zenoh
 
 from service.errors import SourceError
+from service.problems import problem_of
 from service.settings import ZenohSettings
 from service.source import RemoteQuery, RemoteReply, SourceSink
 
@@ -110,14 +111,19 @@ class ZenohSource:
                     else:
                         query.reply(key, answer.body, encoding=answer.media_type)
 
-            sink.on_query(
-                RemoteQuery(
-                    body=b"" if query.payload is None else query.payload.to_bytes(),
-                    media_type="" if query.encoding is None else str(query.encoding),
-                    fusion=query.parameters.get("fusion"),
-                    reply=reply,
+            try:
+                sink.on_query(
+                    RemoteQuery(
+                        body=b"" if query.payload is None else query.payload.to_bytes(),
+                        media_type="" if query.encoding is None else str(query.encoding),
+                        fusion=query.parameters.get("fusion"),
+                        reply=reply,
+                    )
                 )
-            )
+            except Exception as error:
+                problem = problem_of(error)
+                reply(RemoteReply(problem.encoded(), problem.MEDIA_TYPE, is_error=True))
+                raise
 
         return on_query
 
@@ -142,7 +148,7 @@ def _configuration(settings: ZenohSettings) -> zenoh.Config:
         "connect/endpoints": list(settings.connect),
         # A router that is down comes back: keep trying, and say so in readiness.
         "connect/exit_on_failure": False,
-        "connect/timeout_ms": 0,
+        "connect/timeout_ms": -1,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
@@ -151,7 +157,11 @@ def _configuration(settings: ZenohSettings) -> zenoh.Config:
     }
     config = zenoh.Config()
     for path, value in values.items():
-        config.insert_json5(path, json.dumps(value))
+        try:
+            config.insert_json5(path, json.dumps(value))
+        except zenoh.ZError as error:
+            message = f"zenoh refuses the option {path}: {json.dumps(value)}: {error}"
+            raise SourceError(message) from error
     return config
 
 

@@ -45,8 +45,10 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     app.state.service = service
     app.add_middleware(Observe, metrics=service.metrics)
     errors.install(app)
-    for module in (queries, grids, statuses, streams, pages):
-        app.include_router(module.router)
+    routers = [module.router for module in (queries, grids, statuses, streams, pages)]
+    for router in routers:
+        app.include_router(router)
+    app.state.routes = [route for router in routers for route in router.routes]
     _describe_problems(app)
     return app
 

@@ -9,6 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, Field
 from starlette.exceptions import HTTPException
+from starlette.routing import Match, Route
 
 from gpom_core.errors import GpomError, InvalidQueryError
 from service.problems import KINDS, Kind, Problem, problem_of
@@ -83,4 +84,17 @@ async def _on_http_error(request: Request, error: Exception) -> Response:
     status = HTTPStatus(error.status_code)
     kind = Kind(status, f"http-{int(status)}", status.phrase)
     detail = f"{request.method} {request.url.path}: {error.detail}"
-    return respond(Problem(kind, detail, headers=dict(error.headers or {})))
+    headers = dict(error.headers or {})
+    if status is HTTPStatus.METHOD_NOT_ALLOWED:
+        # Starlette names the methods of one route, but the same path may have several.
+        headers["Allow"] = ", ".join(sorted(_methods(request)))
+    return respond(Problem(kind, detail, headers=headers))
+
+
+def _methods(request: Request) -> set[str]:
+    return {
+        method
+        for route in request.app.state.routes
+        if isinstance(route, Route) and route.matches(request.scope)[0] is not Match.NONE
+        for method in route.methods or ()
+    }

@@ -1,20 +1,19 @@
+import os
 import time
 from collections.abc import Callable, Iterator
 
 import pytest
-from fastapi.testclient import TestClient
 
 from service.http.app import create_app
 from service.journal import MemoryJournal
 from service.map_service import MapService, Ports
 from service.settings import Settings
 from service.source import MemorySource
+from tests.service.web import WebClient
 
 
 @pytest.fixture(autouse=True)
 def _no_settings_from_outside(monkeypatch: pytest.MonkeyPatch) -> None:
-    import os  # noqa: PLC0415 - here only
-
     for name in [name for name in os.environ if name.startswith("GPOM_")]:
         if name != "GPOM_DATA":
             monkeypatch.delenv(name)
@@ -62,11 +61,9 @@ def service(
 
 
 @pytest.fixture
-def client(
-    settings: Settings, source: MemorySource, journal: MemoryJournal
-) -> Iterator[TestClient]:
+def client(settings: Settings, source: MemorySource, journal: MemoryJournal) -> Iterator[WebClient]:
     """The web interface of the same, without a network."""
     app = create_app(settings, Ports(source, journal))
-    with TestClient(app, raise_server_exceptions=False) as client:
+    with WebClient(app) as client:
         wait_until(lambda: client.get("/readyz").is_success)
         yield client

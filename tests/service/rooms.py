@@ -9,19 +9,19 @@ from gpom_core.scan import Pose2D, Scan
 
 HALF_M = 3.0
 BEAMS = 180
+ANGLE_MIN_RAD = -pi + 0.01  # no beam is parallel to a wall
 
 
 def scan_at(x: float = 0.0, y: float = 0.0, *, seq: int = 1, boot: int = 1, **fields) -> Scan:
     """Every beam ends at a wall."""
-    angles = -pi + 2.0 * pi / BEAMS * np.arange(BEAMS)
+    angles = ANGLE_MIN_RAD + 2.0 * pi / BEAMS * np.arange(BEAMS)
     along = np.column_stack([np.cos(angles), np.sin(angles)])
     position = np.array([x, y])
-    with np.errstate(divide="ignore"):
-        ranges = np.min((np.sign(along) * HALF_M - position) / along, axis=1)
+    ranges = np.min((np.sign(along) * HALF_M - position) / along, axis=1)
     return Scan(
         pose=Pose2D(x, y, 0.0),
         ranges_m=ranges,
-        angle_min_rad=-pi,
+        angle_min_rad=ANGLE_MIN_RAD,
         angle_increment_rad=2.0 * pi / BEAMS,
         range_min_m=0.05,
         range_max_m=20.0,

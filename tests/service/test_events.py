@@ -68,9 +68,8 @@ def test_closing_ends_streams_and_refuses_new_ones() -> None:
 def test_readers_are_bounded() -> None:
     async def scenario():
         bus = EventBus(1)
-        with bus.subscribe():
-            with pytest.raises(BusyError):
-                bus.subscribe()
+        with bus.subscribe(), pytest.raises(BusyError):
+            bus.subscribe()
         assert bus.clients == 0
         with bus.subscribe():
             assert bus.clients == 1

@@ -1,0 +1,164 @@
+"""The real process: signals, ports, event streams."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import httpx
+import pytest
+
+from service.points import JSON
+from tests.service.fleet_link import open_session
+from tests.service.rooms import payload_at
+
+COMMAND = [sys.executable, "-c", "import typer; from service.cli import serve; typer.run(serve)"]
+PREFIX = "gpom/v1/site"
+
+
+class Process:
+    """A service in a process of its own, on ports that the machine picked."""
+
+    def __init__(self, *flags: str) -> None:
+        ports = ("--port", "0", "--zenoh-listen", "tcp/127.0.0.1:0")
+        self.child = subprocess.Popen(
+            [*COMMAND, *ports, *flags], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        line = self.child.stdout.readline()
+        found = re.fullmatch(r"gpom: listening http=(\S+) zenoh=(\S+) prefix=(\S+)\n", line)
+        assert found, line + self.child.stderr.read()
+        self.url, self.zenoh, self.prefix = found.groups()
+
+    def wait_until_ready(self) -> None:
+        end_s = time.monotonic() + 90.0
+        while not httpx.get(f"{self.url}/readyz").is_success:
+            assert time.monotonic() < end_s
+            time.sleep(0.05)
+
+    def end(self, number: signal.Signals) -> tuple[int, float, str]:
+        start_s = time.monotonic()
+        self.child.send_signal(number)
+        _, errors = self.child.communicate(timeout=30.0)
+        return self.child.returncode, time.monotonic() - start_s, errors
+
+
+@contextmanager
+def _running(*flags: str):
+    process = Process(*flags)
+    try:
+        yield process
+    finally:
+        if process.child.poll() is None:
+            process.child.kill()
+            process.child.communicate()
+
+
+def _events(response: httpx.Response):
+    """The named events of a stream, with their data."""
+    name = None
+    for line in response.iter_lines():
+        if line.startswith("event: "):
+            name = line.removeprefix("event: ")
+        elif line.startswith("data: "):
+            yield name, json.loads(line.removeprefix("data: "))
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signals_end_it_cleanly_even_with_streams_open(number) -> None:
+    with _running() as process:
+        ended = threading.Event()
+
+        def listen() -> None:
+            with httpx.stream("GET", f"{process.url}/v1/events", timeout=30.0) as response:
+                for _ in response.iter_raw():
+                    streaming.set()
+            ended.set()
+
+        streaming = threading.Event()
+        listener = threading.Thread(target=listen)
+        listener.start()
+        assert streaming.wait(10.0)
+        code, took_s, errors = process.end(number)
+        assert code == 0, errors
+        assert took_s < 5.0
+        assert "Traceback" not in errors
+        assert ended.wait(5.0), "the stream ended in an orderly way"
+        listener.join()
+
+
+def test_from_robot_to_events_and_answers() -> None:
+    with _running() as process, open_session(connect=process.zenoh) as robot:
+        process.wait_until_ready()
+        with httpx.stream("GET", f"{process.url}/v1/events", timeout=60.0) as response:
+            events = _events(response)
+            assert next(events) == ("map", {"map_version": 0, "changed": None})
+            token = robot.liveliness().declare_token(f"{PREFIX}/r1/alive")
+            assert next(events) == ("robot", {"robot": "r1", "alive": True})
+            robot.put(f"{PREFIX}/r1/scan/front", payload_at(seq=1))
+            changed = next(data for name, data in events if name == "map")
+            assert changed["map_version"] > 0
+            xmin, ymin, xmax, ymax = changed["changed"]
+            assert xmin < xmax
+            assert ymin < ymax
+            token.undeclare()
+            gone = next(data for name, data in events if name == "robot" and not data["alive"])
+            assert gone == {"robot": "r1", "alive": False}
+        status = httpx.post(f"{process.url}/v1/flush", timeout=60.0).json()
+        assert status["scans_integrated"] == 1
+        points = [[0.5, 1.0], [3.0, 0.3]]
+        (reply,) = robot.get(
+            f"{PREFIX}/_map/query",
+            payload=json.dumps({"points": points}).encode(),
+            encoding=JSON,
+            timeout=20.0,
+        )
+        by_http = httpx.post(f"{process.url}/v1/query", json={"points": points}).json()
+        assert json.loads(reply.ok.payload.to_bytes()) == by_http
+        code, _, errors = process.end(signal.SIGTERM)
+        assert code == 0, errors
+
+
+def test_a_taken_http_port_is_one_clear_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        done = subprocess.run(
+            [*COMMAND, "--port", port, "--zenoh-listen", ""],
+            capture_output=True,
+            text=True,
+            timeout=60.0,
+        )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert f":{port}" in line
+    assert "in use" in line
+
+
+def test_a_taken_zenoh_port_is_one_clear_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        done = subprocess.run(
+            [*COMMAND, "--port", "0", "--zenoh-listen", endpoint],
+            capture_output=True,
+            text=True,
+            timeout=60.0,
+        )
+    assert done.returncode == 2
+    lines = [line for line in done.stderr.splitlines() if not line.startswith("time=")]
+    assert len(lines) == 1
+    assert endpoint in lines[0]
+
+
+def test_bad_settings_are_one_clear_line(tmp_path) -> None:
+    path = tmp_path / "gpom.yaml"
+    path.write_text("http: {prot: 1}")
+    done = subprocess.run(
+        [*COMMAND, "--config", str(path)], capture_output=True, text=True, timeout=60.0
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "http.prot" in line
