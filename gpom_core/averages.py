@@ -23,6 +23,7 @@ _SQRT_HALF_PI: Final = 1.2533141373155003
 # Up to this length a series is cheaper than two error functions, and more accurate: the closed
 # form divides the error of erf by the length.
 _SHORT: Final = 0.45
+_FAR: Final = 1500.0  # squared distance at which the kernel is zero and no power overflows
 
 # Kernel values between shapes farther apart than this are below 1e-10 and left at zero.
 CUTOFF: Final = 6.8
@@ -55,7 +56,21 @@ def interval_average(s: float, length: float) -> float:
     a0, a1, a2, a3, a4 = _short_series(length)
     c = s - 0.5 * length
     c2 = c * c
+    c2 = _FAR if c2 > _FAR else c2
     return exp_neg(-0.5 * c2) * (a0 + c2 * (a1 + c2 * (a2 + c2 * (a3 + c2 * a4))))
+
+
+@compiled
+def interval_variance(length: float) -> float:
+    """Average of the kernel between two points of one interval.
+
+    2 (I(L) - 1) / L^2 with I(z) = z sqrt(pi/2) erf(z / sqrt2) + exp(-z^2 / 2), or its series.
+    """
+    g = 0.5 * length * length
+    if length > _SHORT:
+        return (length * _SQRT_HALF_PI * erf(length * _SQRT_HALF) + exp_neg(-g) - 1.0) / g
+    series = 1.0 - g * 5.0 / 28.0 * (1.0 - g * 7.0 / 45.0 * (1.0 - g * 3.0 / 22.0))
+    return 1.0 - g / 6.0 * (1.0 - g / 5.0 * series)
 
 
 @compiled
@@ -70,6 +85,7 @@ def interval_averages(s: _Floats, length: float, out: _Floats) -> None:
     for k in range(s.size):
         c = s[k] - 0.5 * length
         c2 = c * c
+        c2 = _FAR if c2 > _FAR else c2
         out[k] = exp_neg(-0.5 * c2) * (a0 + c2 * (a1 + c2 * (a2 + c2 * (a3 + c2 * a4))))
 
 
@@ -86,7 +102,8 @@ def line_averages(s: _Floats, r2: _Floats, length: float, out: _Floats) -> None:
         return
     interval_averages(s, length, out)
     for k in range(s.size):
-        out[k] *= exp_neg(-0.5 * r2[k])
+        across = r2[k] if r2[k] > 0.0 else 0.0  # far along the axis rounding leaves anything
+        out[k] *= exp_neg(-0.5 * across)
 
 
 @compiled

@@ -10,38 +10,10 @@ from numpy.typing import NDArray
 
 from gpom_core.averages import interval_averages, line_gram
 from gpom_core.jit import compiled
+from gpom_core.layout import distinct_intervals
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.integer]
-
-
-@compiled
-def distinct_sides(low: _Floats, width: _Floats) -> tuple[_Integers, _Floats, _Floats, _Integers]:
-    """Distinct sides of n boxes, axis by axis, from their low corners and widths (d, n).
-
-    Returns:
-        Which side each box has, (d, n); low ends and widths of the sides, each (d, n), of which
-        the first count[axis] are used; count (d,).
-    """
-    d, n = low.shape
-    side = np.empty((d, n), np.uint64)
-    side_low = np.empty((d, n))
-    side_width = np.empty((d, n))
-    count = np.zeros(d, np.uint64)
-    for axis in range(d):
-        for i in range(n):
-            a, c = low[axis, i], width[axis, i]
-            found = np.uint64(0)
-            while found < count[axis] and not (
-                side_low[axis, found] == a and side_width[axis, found] == c
-            ):
-                found += np.uint64(1)
-            side[axis, i] = found
-            if found == count[axis]:
-                side_low[axis, found] = a
-                side_width[axis, found] = c
-                count[axis] += np.uint64(1)
-    return side, side_low, side_width, count
 
 
 @compiled
@@ -51,7 +23,8 @@ def box_gram(low: _Floats, width: _Floats, place: _Integers, out: _Floats) -> No
     The pair (i, j) is written to out[place[i], place[j]] and its mirror image.
     """
     d, n = low.shape
-    side, side_low, side_width, count = distinct_sides(low, width)
+    sides, side_low, side_width, count = distinct_intervals(low, width)
+    side = sides.astype(np.uint64)  # unsigned indices: no test for wrapping round
     target = place.astype(np.uint64)
     for axis in range(d):
         used = count[axis]
@@ -59,7 +32,7 @@ def box_gram(low: _Floats, width: _Floats, place: _Integers, out: _Floats) -> No
         line_gram(
             side_low[axis : axis + 1, :used].copy(),
             side_width[axis : axis + 1, :used].copy(),
-            np.arange(np.int64(used)).astype(np.uint64),
+            np.arange(used),
             table,
         )
         for i in range(n):
@@ -78,7 +51,8 @@ def box_rows(low: _Floats, width: _Floats, points: _Floats, out: _Floats) -> Non
     """Kernel between n boxes (d, n) and m points (d, m), into out (n, m)."""
     d, n = low.shape
     m = points.shape[1]
-    side, side_low, side_width, count = distinct_sides(low, width)
+    sides, side_low, side_width, count = distinct_intervals(low, width)
+    side = sides.astype(np.uint64)  # unsigned indices: no test for wrapping round
     offset = np.empty(m)
     for axis in range(d):
         table = np.empty((count[axis], m))

@@ -20,10 +20,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gpom_core.averages import interval_average, line_averages, line_gram
+from gpom_core.averages import interval_average, interval_variance, line_averages, line_gram
 from gpom_core.boxes import box_gram, box_rows
 from gpom_core.jit import compiled, vectorised
-from gpom_core.quadrature import fill_rule, rule_size
+from gpom_core.layout import line_nodes, whitened
 from gpom_core.special import exp_neg
 
 _Floats = NDArray[np.float64]
@@ -40,7 +40,17 @@ class Kind(IntEnum):
 
 _BOX: Final = int(Kind.BOX)
 _POINT: Final = int(Kind.POINT)
+_LONGEST: Final = 1e4  # length scales; quadrature takes two nodes for each
 _BLOCK: Final = 512  # query points handled together, so that tables stay in the cache
+
+_NOT_FINITE, _UNKNOWN_KIND, _CORNERS, _NOT_A_POINT, _TOO_LONG = range(1, 6)
+_FAULTS: Final = {
+    _NOT_FINITE: "geometry must be finite",
+    _UNKNOWN_KIND: "kinds must be values of Kind: 0 point, 1 segment, 2 box",
+    _CORNERS: "a box must have its low corner first: geometry[i, 0] <= geometry[i, 1]",
+    _NOT_A_POINT: "a point must be given twice: geometry[i, 0] == geometry[i, 1]",
+    _TOO_LONG: f"no shape may be longer than {_LONGEST:g} length scales; cut it into parts",
+}
 
 
 def gram(kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike) -> _Floats:
@@ -55,7 +65,7 @@ def gram(kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike) -> _Flo
         (n, n), symmetric.
 
     Raises:
-        ValueError: shapes do not fit together, or values are not finite or not positive.
+        ValueError: what is passed does not fit together, is not finite, or is no such shape.
     """
     checked_kinds, checked_geometry, inverse = _check(kinds, geometry, length_scale)
     out = np.empty((checked_kinds.size, checked_kinds.size))
@@ -78,7 +88,7 @@ def cross(
         (m, n).
 
     Raises:
-        ValueError: shapes do not fit together, or values are not finite or not positive.
+        ValueError: what is passed does not fit together, is not finite, or is no such shape.
     """
     checked_kinds, checked_geometry, inverse = _check(kinds, geometry, length_scale)
     checked_points = np.ascontiguousarray(points, dtype=np.float64)
@@ -115,27 +125,44 @@ def _check(
     shapes = np.ascontiguousarray(geometry, dtype=np.float64)
     if shapes.ndim != 3 or shapes.shape[1] != 2 or shapes.shape[2] == 0:
         raise ValueError(f"geometry must have shape (n, 2, d) with d >= 1, got {shapes.shape}")
-    if not np.isfinite(shapes).all():
-        raise ValueError("geometry must be finite")
     n, _, d = shapes.shape
     raw_kinds = np.asarray(kinds)
     if raw_kinds.shape != (n,):
         raise ValueError(f"kinds must have shape ({n},) as geometry has, got {raw_kinds.shape}")
-    if not np.isin(raw_kinds, [int(kind) for kind in Kind]).all():
-        raise ValueError(f"kinds must be values of Kind, got {np.unique(raw_kinds).tolist()}")
     checked_kinds = np.ascontiguousarray(raw_kinds, dtype=np.uint8)
-    boxes = shapes[checked_kinds == _BOX]
-    if (boxes[:, 1] < boxes[:, 0]).any():
-        raise ValueError("a box must have its low corner first: geometry[i, 0] <= geometry[i, 1]")
-    points = shapes[checked_kinds == _POINT]
-    if (points[:, 1] != points[:, 0]).any():
-        raise ValueError("a point must be given twice: geometry[i, 0] == geometry[i, 1]")
+    if raw_kinds.dtype != np.uint8 and not np.array_equal(checked_kinds, raw_kinds):
+        raise ValueError(_FAULTS[_UNKNOWN_KIND])
     scale = np.asarray(length_scale, dtype=np.float64)
     if scale.shape not in ((), (d,)):
         raise ValueError(f"length_scale must be one number or ({d},), got shape {scale.shape}")
-    if not (np.isfinite(scale).all() and (scale > 0.0).all()):
+    scales = np.full(d, scale)
+    if not all(0.0 < x < np.inf for x in scales.tolist()):
         raise ValueError(f"length_scale must be finite and positive, got {scale.tolist()}")
-    return checked_kinds, shapes, np.full(d, 1.0 / scale)
+    inverse = 1.0 / scales
+    fault = _fault(checked_kinds, shapes, inverse)
+    if fault:
+        raise ValueError(_FAULTS[fault])
+    return checked_kinds, shapes, inverse
+
+
+@compiled
+def _fault(kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats) -> int:
+    """Which of `_FAULTS` the arguments have, 0 for none."""
+    n, _, d = geometry.shape
+    for i in range(n):
+        if kinds[i] > _BOX:
+            return _UNKNOWN_KIND
+        for axis in range(d):
+            span = geometry[i, 1, axis] - geometry[i, 0, axis]
+            if not np.isfinite(span):
+                return _NOT_FINITE
+            if kinds[i] == _BOX and span < 0.0:
+                return _CORNERS
+            if kinds[i] == _POINT and span != 0.0:
+                return _NOT_A_POINT
+            if abs(span) * inverse_length_scale[axis] > _LONGEST:
+                return _TOO_LONG
+    return 0
 
 
 @vectorised
@@ -167,7 +194,8 @@ def point_segment(shape: _Floats, point: _Floats, inverse_length_scale: _Floats)
         squared += offset * offset
     length = np.sqrt(length2)
     s = along / length if length > 0.0 else 0.0
-    return exp_neg(-0.5 * (squared - s * s)) * interval_average(s, length)
+    r2 = squared - s * s
+    return exp_neg(-0.5 * (r2 if r2 > 0.0 else 0.0)) * interval_average(s, length)
 
 
 @vectorised
@@ -197,23 +225,24 @@ def gram_into(
     kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats, out: _Floats
 ) -> None:
     """`gram`, written into out (n, n); inverse_length_scale is (d,)."""
-    lines = _of_kind(kinds, False)
-    boxes = _of_kind(kinds, True)
-    start, span = _whitened(geometry, lines, inverse_length_scale)
+    lines = np.flatnonzero(kinds != _BOX)
+    boxes = np.flatnonzero(kinds == _BOX)
+    start, span = whitened(geometry, lines, inverse_length_scale)
     line_gram(start, span, lines, out)
     if boxes.size == 0:
         return
-    low, width = _whitened(geometry, boxes, inverse_length_scale)
+    low, width = whitened(geometry, boxes, inverse_length_scale)
     box_gram(low, width, boxes, out)
     if lines.size > 0:
-        node, weight, first = _line_nodes(start, span)
+        node, weight, first = line_nodes(start, span)
+        begin = first.astype(np.uint64)  # unsigned indices: no test for wrapping round
         values = np.empty((boxes.size, weight.size))
         box_rows(low, width, node, values)
         for b in range(boxes.size):
             row = values[b]
-            for j in range(np.uint64(lines.size)):
+            for j in range(lines.size):
                 total = 0.0
-                for q in range(first[j], first[j + np.uint64(1)]):
+                for q in range(begin[j], begin[j + 1]):
                     total += weight[q] * row[q]
                 out[boxes[b], lines[j]] = total
                 out[lines[j], boxes[b]] = total
@@ -229,10 +258,10 @@ def cross_into(
 ) -> None:
     """`cross`, written into out (m, n); inverse_length_scale is (d,)."""
     m, d = points.shape
-    lines = _of_kind(kinds, False)
-    boxes = _of_kind(kinds, True)
-    start, span = _whitened(geometry, lines, inverse_length_scale)
-    low, width = _whitened(geometry, boxes, inverse_length_scale)
+    lines = np.flatnonzero(kinds != _BOX)
+    boxes = np.flatnonzero(kinds == _BOX)
+    start, span = whitened(geometry, lines, inverse_length_scale)
+    low, width = whitened(geometry, boxes, inverse_length_scale)
     for begin in range(0, m, _BLOCK):
         size = min(_BLOCK, m - begin)
         block = np.empty((d, size))
@@ -262,75 +291,8 @@ def prior_variance_into(
             width = (geometry[i, 1, axis] - geometry[i, 0, axis]) * inverse_length_scale[axis]
             length2 += width * width
             if kinds[i] == _BOX:
-                product *= _interval_variance(width)
-        out[i] = product if kinds[i] == _BOX else _interval_variance(np.sqrt(length2))
-
-
-@compiled
-def _interval_variance(length: float) -> float:
-    """Average of the kernel between two points of one interval."""
-    if length == 0.0:
-        return 1.0
-    size = rule_size(length)
-    node = np.empty(size)
-    weight = np.empty(size)
-    fill_rule(length, node, weight)
-    total = 0.0
-    for q in range(size):
-        total += weight[q] * interval_average(node[q] * length, length)
-    return total
-
-
-@compiled
-def _of_kind(kinds: NDArray[np.uint8], boxes: bool) -> _Integers:
-    """Indices of the boxes, or of all that are not: points and segments are lines."""
-    chosen = np.empty(kinds.size, np.uint64)
-    found = np.uint64(0)
-    for i in range(kinds.size):
-        if (kinds[i] == _BOX) == boxes:
-            chosen[found] = i
-            found += np.uint64(1)
-    return chosen[:found].copy()
-
-
-@compiled
-def _whitened(
-    geometry: _Floats, chosen: _Integers, inverse_length_scale: _Floats
-) -> tuple[_Floats, _Floats]:
-    """Starts and spans of the chosen shapes, each (d, n), in length scales."""
-    d = geometry.shape[2]
-    start = np.empty((d, chosen.size))
-    span = np.empty((d, chosen.size))
-    for axis in range(d):
-        scale = inverse_length_scale[axis]
-        for i in range(chosen.size):
-            first = geometry[chosen[i], 0, axis]
-            start[axis, i] = first * scale
-            span[axis, i] = (geometry[chosen[i], 1, axis] - first) * scale
-    return start, span
-
-
-@compiled
-def _line_nodes(start: _Floats, span: _Floats) -> tuple[_Floats, _Floats, _Integers]:
-    """Quadrature nodes (d, N) and weights (N,) of n lines; line j owns first[j]:first[j + 1]."""
-    d, n = start.shape
-    first = np.zeros(n + 1, np.uint64)
-    length = np.empty(n)
-    for j in range(n):
-        length2 = 0.0
-        for axis in range(d):
-            length2 += span[axis, j] * span[axis, j]
-        length[j] = np.sqrt(length2)
-        first[j + 1] = first[j] + np.uint64(rule_size(length[j]))
-    position = np.empty(first[n])
-    weight = np.empty(first[n])
-    node = np.empty((d, first[n]))
-    for j in range(n):
-        fill_rule(length[j], position[first[j] :], weight[first[j] :])
-        for axis in range(d):
-            for q in range(first[j], first[j + 1]):
-                node[axis, q] = start[axis, j] + position[q] * span[axis, j]
-    return node, weight, first
+                product *= interval_variance(width)
+        out[i] = product if kinds[i] == _BOX else interval_variance(np.sqrt(length2))
 
 
 @compiled

@@ -136,6 +136,21 @@ def test_far_apart_is_nothing(kind: Kind, other: Kind) -> None:
     assert value == 0.0
 
 
+@pytest.mark.parametrize("distance", [1e2, 1e6, 1e12, 1e40, 1e160, 1e300])
+def test_points_however_far_away_are_finite_and_nothing(distance: float) -> None:
+    kinds = np.repeat(np.array(list(Kind), np.uint8), 2)
+    spans = np.array([[0.0, 0.0], [0.0, 0.0], [0.1, 0.0], [3.0, 3.0], [0.1, 0.0], [3.0, 3.0]])
+    geometry = np.stack([np.zeros((6, 2)), spans], axis=1)
+    turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+    points = distance * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    looped = [
+        [SCALAR[Kind(k)](row, p, np.ones(2)) for k, row in zip(kinds, geometry, strict=True)]
+        for p in points
+    ]
+    assert np.abs(cross(kinds, geometry, points, 1.0)).max() < 1e-10
+    assert np.abs(looped).max() < 1e-10
+
+
 def test_boxes_of_a_lattice_equal_boxes_that_share_no_side() -> None:
     rng = np.random.default_rng(2)
     corner = rng.integers(0, 6, (40, 2)) * 0.25
@@ -170,6 +185,8 @@ BOX = [[[0.0, 0.0], [1.0, 1.0]]]
         ([0], BOX, 1.0, "a point must be given twice"),
         ([2], BOX, [1.0, 1.0, 1.0], r"one number or \(2,\)"),
         ([2], BOX, 0.0, "finite and positive"),
+        ([2], BOX, 1e-5, "longer than 10000 length scales"),
+        ([0.5], BOX, 1.0, "values of Kind"),
         ([2], BOX, [1.0, np.inf], "finite and positive"),
     ],
 )
