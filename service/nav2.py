@@ -6,7 +6,8 @@ import zipfile
 import numpy as np
 import yaml
 
-from gpom_core.snapshot import Bounds, Prediction
+from gpom_core.member import Bounds
+from gpom_core.snapshot import Prediction
 
 # map_server's own convention: black occupied, white free, 205 just misses the free threshold.
 _OCCUPIED, _FREE, _UNKNOWN = 0, 254, 205

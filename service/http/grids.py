@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Query, Response
 
 from gpom_core.errors import InvalidQueryError
-from gpom_core.snapshot import Bounds, Prediction, Snapshot, grid_shape
+from gpom_core.member import Bounds
+from gpom_core.snapshot import Prediction, Snapshot, grid_shape
 from service import nav2, render
 from service.errors import PayloadTooLargeError
 from service.http.context import VERSION_HEADER, Service

@@ -8,7 +8,7 @@ from prometheus_client import CONTENT_TYPE_LATEST
 from pydantic import BaseModel, ConfigDict, Field
 
 from gpom_core.errors import InvalidQueryError
-from gpom_core.snapshot import Bounds
+from gpom_core.member import Bounds
 from service.errors import FlushTimeoutError, NotReadyError
 from service.http.context import Service
 from service.map_service import MapService

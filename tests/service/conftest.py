@@ -1,6 +1,7 @@
 import os
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,14 @@ from service.map_service import MapService, Ports
 from service.settings import Settings
 from service.source import MemorySource
 from tests.service.web import WebClient
+
+COMPILE_S = 300.0  # when no kernel is in the cache yet
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.parent == Path(__file__).parent:
+            item.add_marker(pytest.mark.timeout(COMPILE_S + 60.0))
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +63,7 @@ def service(
     service = MapService(settings, Ports(source, journal))
     service.start()
     try:
-        wait_until(lambda: not service.troubles())
+        wait_until(lambda: not service.troubles(), COMPILE_S)
         yield service
     finally:
         service.stop()
@@ -65,5 +74,5 @@ def client(settings: Settings, source: MemorySource, journal: MemoryJournal) -> 
     """The web interface of the same, without a network."""
     app = create_app(settings, Ports(source, journal))
     with WebClient(app) as client:
-        wait_until(lambda: client.get("/readyz").is_success)
+        wait_until(lambda: client.get("/readyz").is_success, COMPILE_S)
         yield client

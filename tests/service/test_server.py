@@ -35,7 +35,7 @@ class Process:
         self.url, self.zenoh, self.prefix = found.groups()
 
     def wait_until_ready(self) -> None:
-        end_s = time.monotonic() + 90.0
+        end_s = time.monotonic() + 300.0
         while not httpx.get(f"{self.url}/readyz").is_success:
             assert time.monotonic() < end_s
             time.sleep(0.05)
@@ -131,6 +131,7 @@ def test_a_taken_http_port_is_one_clear_line() -> None:
             capture_output=True,
             text=True,
             timeout=60.0,
+            check=False,
         )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
@@ -146,6 +147,7 @@ def test_a_taken_zenoh_port_is_one_clear_line() -> None:
             capture_output=True,
             text=True,
             timeout=60.0,
+            check=False,
         )
     assert done.returncode == 2
     lines = [line for line in done.stderr.splitlines() if not line.startswith("time=")]
@@ -157,7 +159,7 @@ def test_bad_settings_are_one_clear_line(tmp_path) -> None:
     path = tmp_path / "gpom.yaml"
     path.write_text("http: {prot: 1}")
     done = subprocess.run(
-        [*COMMAND, "--config", str(path)], capture_output=True, text=True, timeout=60.0
+        [*COMMAND, "--config", str(path)], capture_output=True, text=True, timeout=60.0, check=False
     )
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
