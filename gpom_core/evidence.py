@@ -11,11 +11,9 @@ from gpom_core import beams, clusters, lines, rows, tiles
 from gpom_core.beams import POINT
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
-from gpom_core.kernels import Kind, gram
 from gpom_core.observations import Observations, gather, observations_of
 from gpom_core.scan import Scan
-
-SIMILAR_BEAMS = 4  # returning beams on each side that a beam without return is compared with
+from gpom_core.similarity import most_similar
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +45,12 @@ class Evidence:
             InvalidScanError: the scan lies where the lattice has no cells; nothing was changed.
         """
         beam = self._beams(scan)
-        before = self.observation_count
+        before, clusters_before = self.observation_count, int(self.clusters.size[0])
         hits = beam.ends[beam.returned]
         homes = self._associate(hits, beam.spacing_m[beam.returned])
         self._absorb_hits(hits, homes)
         self._absorb_free(beam, homes)
+        self._forget_unused(clusters_before)
         self._split_long(np.unique(homes))
         return UpdateReport(
             hits=len(hits),
@@ -140,19 +139,15 @@ class Evidence:
         if len(back) == 0:
             self.clusters = clusters.with_room(self.clusters, 1)
             return np.full(len(silent), clusters.add_cluster(self.clusters, *beam.origin), np.int32)
-        middle = np.searchsorted(back, silent)
-        shapes = np.stack([np.broadcast_to(beam.origin, beam.ends.shape), beam.ends], axis=1)
-        homes = np.empty(len(silent), np.int32)
-        # Neighbours in angle are the only ones that can be similar, and they come in blocks:
-        # silent beams with the same returning neighbours share one Gram matrix.
-        for m in np.unique(middle):
-            group = silent[middle == m]
-            near = back[max(m - SIMILAR_BEAMS, 0) : m + SIMILAR_BEAMS]
-            both = np.concatenate([group, near])
-            kinds = np.full(len(both), Kind.SEGMENT, np.uint8)
-            k = gram(kinds, shapes[both], self.config.length_scale_m)[: len(group), len(group) :]
-            homes[middle == m] = hit_homes[np.searchsorted(back, near[np.argmax(k, axis=1)])]
-        return homes
+        like = most_similar(beam.ends - beam.origin, beam.returned, self.config.length_scale_m)
+        return hit_homes[np.searchsorted(back, like[silent])]
+
+    def _forget_unused(self, before: int) -> None:
+        """Give back the numbers of clusters founded in vain: all they saw was known already."""
+        size = int(self.clusters.size[0])
+        while size > before and self.clusters.rows[size - 1] == 0:
+            size -= 1
+        self.clusters.size[0] = size
 
     def _split_long(self, touched: NDArray[np.int32]) -> None:
         limit = self.config.max_length_m
