@@ -238,6 +238,7 @@ def absorb_free_segments(
         pieces = int(np.ceil(length / segment_m))
         if rows.size[0] + pieces > len(rows.keys):
             return b, fresh
+        part = length / (pieces * segment_m)
         for p in range(pieces):
             t0, t1 = length * p / pieces, length * (p + 1) / pieces
             ax, ay = origin[0] + t0 * direction[b, 0], origin[1] + t0 * direction[b, 1]
@@ -263,10 +264,15 @@ def absorb_free_segments(
                 attach(rows, clusters.head, clusters.rows, row, homes[b])
                 clusters.fresh[homes[b]] += 1
             else:
-                share = 1.0 / (min(rows.count[row], cap - 1.0) + 1.0)
+                g = rows.geometry[row]
+                if key_a == key_b and (bx - ax) * (g[1, 0] - g[0, 0]) < (ay - by) * (
+                    g[1, 1] - g[0, 1]
+                ):  # both ends in one cell: only its direction tells which is which
+                    ax, ay, bx, by = bx, by, ax, ay
+                share = part / (min(rows.count[row], cap - part) + part)
                 rows.geometry[row, 0, 0] += share * (ax - rows.geometry[row, 0, 0])
                 rows.geometry[row, 0, 1] += share * (ay - rows.geometry[row, 0, 1])
                 rows.geometry[row, 1, 0] += share * (bx - rows.geometry[row, 1, 0])
                 rows.geometry[row, 1, 1] += share * (by - rows.geometry[row, 1, 1])
-            touch(rows, clusters, row, (t1 - t0) / segment_m, cap)
+            touch(rows, clusters, row, part, cap)
     return len(free_m), fresh
