@@ -57,19 +57,30 @@ class TrainingJob:
                 start=self.learned_before,
                 clock=monotonic,
             ).hyperparameters
-        expert: Expert = train(self.observations, chosen)
-        geometry = self.observations.geometry
-        low, high = geometry.min(axis=(0, 1)), geometry.max(axis=(0, 1))
-        bounds: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-        cutoff = CUTOFF_SCALES * chosen.length_scale_m
-        return TrainedExpert(
-            cluster_id=self.cluster_id,
-            revision=self.revision,
-            expert=expert,
-            reach=reach_of(geometry, TILE_M, cutoff),
-            line=self.line,
-            bounds=bounds,
-        )
+        expert = train(self.observations, chosen)
+        return as_member(self.cluster_id, self.revision, expert, self.line)
+
+
+def as_member(
+    cluster_id: int, revision: int, expert: Expert, line: NDArray[np.float64]
+) -> TrainedExpert:
+    """A trained expert of a cluster, ready to be swapped in.
+
+    Args:
+        revision: of the evidence that it was trained on. line: (2, 2) ends of the cluster's line.
+    """
+    geometry = expert.observations.geometry
+    low, high = geometry.min(axis=(0, 1)), geometry.max(axis=(0, 1))
+    bounds: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
+    cutoff = CUTOFF_SCALES * expert.hyperparameters.length_scale_m
+    return TrainedExpert(
+        cluster_id=cluster_id,
+        revision=revision,
+        expert=expert,
+        reach=reach_of(geometry, TILE_M, cutoff),
+        line=line,
+        bounds=bounds,
+    )
 
 
 def learning_rule(config: MapConfig) -> LearningRule | None:

@@ -169,3 +169,11 @@ def detach(rows: Rows, head: Any, length: Any, row: int) -> None:
         rows.before[after] = before
     rows.owner[row] = NONE
     length[owner] -= 1
+
+
+@compiled
+def relink(rows: Rows, head: Any, length: Any, order: NDArray[np.int64]) -> None:
+    """Make the lists of owners anew: `order` (n,) has the rows of each owner as its list shall."""
+    for i in range(len(order) - 1, -1, -1):
+        row = order[i]
+        attach(rows, head, length, row, rows.owner[row])
