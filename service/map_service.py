@@ -1,6 +1,7 @@
 """The service without its web interface: the parts, put together, started and stopped in order."""
 
 import logging
+import secrets
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
@@ -20,6 +21,7 @@ from service.problems import problem_of
 from service.query_desk import QueryDesk
 from service.settings import Settings
 from service.source import RemoteQuery, RemoteReply, ScanSource
+from service.tile_store import TileStore
 
 logger = logging.getLogger(__name__)
 
@@ -49,6 +51,14 @@ class MapService:
             settings.http.queries_waiting_max,
             settings.http.retry_after_s,
         )
+        self._tile_desk = QueryDesk(
+            settings.http.tile_threads,
+            settings.http.tiles_waiting_max,
+            settings.http.retry_after_s,
+            name="gpom-tile",
+        )
+        self.tiles = TileStore(self._tile_desk, settings.http.tile_cache_bytes_max)
+        self.instance = secrets.token_hex(4)  # versions of two runs have nothing in common
         self._ports = ports
         self._pool = ThreadPoolExecutor(settings.training.workers, thread_name_prefix="gpom-train")
         self._mapping = MapKeeper(
@@ -120,6 +130,7 @@ class MapService:
             logger.warning("some scans that were received are not stored")
         self._mapping.worker.join(_DRAIN_S)
         self.queries.close()
+        self._tile_desk.close()
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._ports.journal.close()
 
@@ -195,3 +206,8 @@ class MapService:
         metrics.gauge(
             "gpom_queries", "heavy queries, running or waiting", lambda: self.queries.taken
         )
+        metrics.gauge(
+            "gpom_tiles", "map tiles being drawn or waiting", lambda: self._tile_desk.taken
+        )
+        metrics.count("gpom_tiles_drawn", "map tiles drawn", lambda: self.tiles.drawn)
+        metrics.gauge("gpom_tile_cache_bytes", "of tiles remembered", lambda: self.tiles.bytes_used)

@@ -13,12 +13,14 @@ _T = TypeVar("_T")
 class QueryDesk:
     """Runs at most `threads` calls at once, and lets at most `waiting_max` wait."""
 
-    def __init__(self, threads: int, waiting_max: int, retry_after_s: int) -> None:
+    def __init__(
+        self, threads: int, waiting_max: int, retry_after_s: int, name: str = "gpom-query"
+    ) -> None:
         self._places = threads + waiting_max
         self._retry_after_s = retry_after_s
         self._taken = 0
         self._lock = threading.Lock()
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="gpom-query")
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix=name)
 
     @property
     def taken(self) -> int:

@@ -47,6 +47,11 @@ class HttpSettings(_Section):
     body_bytes_max: int = Field(64 * 2**20, ge=1024, description="bytes of one request body")
     query_threads: int = Field(2, ge=1, description="heavy queries answered at once")
     queries_waiting_max: int = Field(32, ge=0, description="heavy queries in line; then 503")
+    tile_threads: int = Field(1, ge=1, description="map tiles drawn at once")
+    tiles_waiting_max: int = Field(256, ge=0, description="map tiles in line; then 503")
+    tile_cache_bytes_max: int = Field(
+        64 * 2**20, ge=2**20, description="memory for map tiles that were drawn"
+    )
     retry_after_s: int = Field(1, ge=1, description="what a 503 tells the client to wait")
     flush_timeout_max_s: float = Field(600.0, gt=0.0, description="longest wait of one flush")
     event_clients_max: int = Field(64, ge=1, description="open event streams; then 503")
@@ -90,6 +95,26 @@ class IngestSettings(_Section):
     robots_max: int = Field(1000, ge=1, description="scans of further robots are refused")
 
 
+class JournalSettings(_Section):
+    """What is kept in data_dir, so that a restart loses nothing. Unused without data_dir."""
+
+    size_bytes_max: int = Field(
+        16 * 2**30, ge=2**20, description="of stored scans; what then happens is `retention`"
+    )
+    retention: Literal["drop_oldest", "keep"] = Field(
+        "drop_oldest",
+        description="at the size limit: delete the oldest scans that are in a checkpoint of the "
+        "map, or keep all and take no more scans",
+    )
+    checkpoint_interval_s: float = Field(
+        60.0, gt=0.0, description="the map is saved this often; scans since are integrated again"
+    )
+    checkpoints_kept: int = Field(2, ge=1, le=100, description="the newest of them")
+    map_bytes_max: int = Field(
+        4 * 2**30, ge=2**20, description="unpacked size of a checkpoint or an imported map"
+    )
+
+
 class TrainingSettings(_Section):
     """How experts are kept up to date."""
 
@@ -110,5 +135,6 @@ class Settings(_Section):
     http: HttpSettings = HttpSettings()
     zenoh: ZenohSettings = ZenohSettings()
     ingest: IngestSettings = IngestSettings()
+    journal: JournalSettings = JournalSettings()
     training: TrainingSettings = TrainingSettings()
     map: MapConfig = MapConfig()

@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
-from service.http import errors, grids, pages, queries, statuses, streams
+from service.http import errors, grids, pages, queries, statuses, streams, tiles
 from service.http.observe import Observe
 from service.map_service import MapService, Ports
 from service.settings import Settings
@@ -45,7 +45,7 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     app.state.service = service
     app.add_middleware(Observe, metrics=service.metrics)
     errors.install(app)
-    routers = [module.router for module in (queries, grids, statuses, streams, pages)]
+    routers = [module.router for module in (queries, grids, tiles, statuses, streams, pages)]
     for router in routers:
         app.include_router(router)
     app.state.routes = [route for router in routers for route in router.routes]
