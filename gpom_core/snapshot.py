@@ -101,6 +101,11 @@ class Snapshot:
         """xmin, ymin, xmax, ymax of all evidence, metres; None while there is none."""
         return union(member.bounds for member in self.members.values())
 
+    @property
+    def reach(self) -> Bounds | None:
+        """As `bounds`, grown by how far evidence has a say; beyond, all is unknown."""
+        return union(_reach(member) for member in self.members.values())
+
     def sums(
         self, points: NDArray[np.float64], fusion: Fusion = Fusion.BCM
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -166,7 +171,7 @@ class Snapshot:
 
     def with_calibration(self, calibration: Calibration) -> Snapshot:
         """This map with other probabilities; its version stays, so swap it in at once."""
-        return replace(self, calibration=calibration, changed_bounds=self.bounds)
+        return replace(self, calibration=calibration, changed_bounds=self.reach)
 
     def swapped(self, new: Iterable[Member], gone: Iterable[int] = ()) -> Snapshot:
         """The next version: `new` experts in place of their old selves, `gone` ones left out."""
@@ -183,12 +188,12 @@ class Snapshot:
         for cluster in [*gone, *(m.cluster_id for m in replaced)]:
             old = members.pop(cluster, None)
             if old is not None:
-                areas.append(old.bounds)
+                areas.append(_reach(old))
                 for key in old.sectors:
                     content(key).pop(cluster, None)
         for member in replaced:
             members[member.cluster_id] = member
-            areas.append(member.bounds)
+            areas.append(_reach(member))
             for key in member.sectors:
                 content(key)[member.cluster_id] = member
         for key, inside in touched.items():
@@ -242,6 +247,12 @@ def union(areas: Iterable[Bounds]) -> Bounds | None:
         return None
     low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
+
+
+def _reach(member: Member) -> Bounds:
+    margin = float(np.sqrt(-2.0 * np.log(NEGLIGIBLE)) / member.scales[0])
+    xmin, ymin, xmax, ymax = member.bounds
+    return xmin - margin, ymin - margin, xmax + margin, ymax + margin
 
 
 def _by_sector(points: NDArray[np.float64], bounds: Bounds | None) -> dict[int, NDArray[np.int64]]:

@@ -8,6 +8,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from gpom_core.beams import BOX, POINT
 from gpom_core.evidence import Evidence
+from gpom_core.expert import Expert
+from gpom_core.kernels import cross
 from gpom_core.observations import Observations
 from gpom_core.scan import Pose2D, Scan
 
@@ -83,7 +85,9 @@ def tour(scans: int = 12, *, beams: int = 90, noise: float = 0.01) -> list[Scan]
     """Scans along a curve through the room."""
     t = np.linspace(0.0, 1.0, scans)
     return [
-        look(-2.5 + 4.9 * s, -1.0 + 0.8 * np.sin(5.0 * s), 3.0 * s, beams=beams, noise=noise, seed=i)
+        look(
+            -2.5 + 4.9 * s, -1.0 + 0.8 * np.sin(5.0 * s), 3.0 * s, beams=beams, noise=noise, seed=i
+        )
         for i, s in enumerate(t)
     ]
 
@@ -139,11 +143,24 @@ def without(o: Observations, i: int) -> Observations:
     )
 
 
+def posterior(
+    expert: Expert, points: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean and variance from the kernels, without any cut-off (eq. 9 and 10)."""
+    h, o = expert.hyperparameters, expert.observations
+    k = h.signal_std**2 * cross(o.kinds, o.geometry, points, h.length_scale_m)
+    explained = np.einsum("mi,mi->m", k @ expert.precision, k)
+    return k @ expert.weights, h.signal_std**2 - explained
+
+
 def evidence_by_key(evidence: Evidence) -> dict[tuple[int, int], tuple[float, NDArray[np.float64]]]:
     """Count and geometry of every row, by its key."""
     rows = evidence.rows
     return {
-        (int(rows.keys[i, 0]), int(rows.keys[i, 1])): (float(rows.count[i]), rows.geometry[i].copy())
+        (int(rows.keys[i, 0]), int(rows.keys[i, 1])): (
+            float(rows.count[i]),
+            rows.geometry[i].copy(),
+        )
         for i in range(int(rows.size[0]))
     }
 

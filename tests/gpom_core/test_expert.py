@@ -6,19 +6,12 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from gpom_core.errors import GpomError
-from gpom_core.expert import Expert, Hyperparameters, TrainingError, train
-from gpom_core.kernels import cross, gram
+from gpom_core.expert import Hyperparameters, TrainingError, train
+from gpom_core.kernels import gram
 from gpom_core.observations import Observations
-from tests.gpom_core.synthetic import areas_observed, both, points_observed, without
+from tests.gpom_core.synthetic import areas_observed, both, points_observed, posterior, without
 
 HYPERPARAMETERS = Hyperparameters(length_scale_m=0.7, signal_std=1.3)
-
-
-def posterior(expert: Expert, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance from the kernels, without any cut-off (eq. 9 and 10)."""
-    h, o = expert.hyperparameters, expert.observations
-    k = h.signal_std**2 * cross(o.kinds, o.geometry, points, h.length_scale_m)
-    return k @ expert.weights, h.signal_std**2 - np.einsum("mi,ij,mj->m", k, expert.precision, k)
 
 
 def scattered(n: int = 40, seed: int = 0) -> Observations:

@@ -1,0 +1,302 @@
+"""Snapshots: indexed answers are those of the whole committee, and versions never change."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gpom_core.calibration import Calibration
+from gpom_core.committee import Fusion, fuse
+from gpom_core.config import MapConfig
+from gpom_core.errors import InvalidQueryError
+from gpom_core.mapper import Mapper
+from gpom_core.snapshot import Prediction, Snapshot
+from tests.gpom_core.synthetic import look, posterior, tour
+
+
+def mapped(scans: int = 10, **settings: object) -> Mapper:
+    mapper = Mapper(MapConfig(**settings))  # type: ignore[arg-type]
+    for scan in tour(scans):
+        mapper.update(scan)
+    mapper.train()
+    return mapper
+
+
+@pytest.fixture(scope="module")
+def snapshot() -> Snapshot:
+    return mapped().snapshot()
+
+
+@pytest.fixture(scope="module")
+def points() -> np.ndarray:
+    """In the room, on its walls, and around it."""
+    return np.random.default_rng(0).uniform((-5.0, -4.0), (5.0, 4.0), (400, 2))
+
+
+def by_brute_force(
+    snapshot: Snapshot, points: np.ndarray, fusion: Fusion
+) -> tuple[np.ndarray, ...]:
+    """Every expert at every point, with exact kernels."""
+    opinions = [posterior(m.expert, points) for m in snapshot.members.values()]
+    means, variances = (np.array(part) for part in zip(*opinions, strict=True))
+    return fuse(means, variances, snapshot.prior_variance, fusion)
+
+
+@pytest.mark.parametrize("fusion", list(Fusion))
+def test_the_index_changes_no_probability_by_a_thousandth(
+    snapshot: Snapshot, points: np.ndarray, fusion: Fusion
+) -> None:
+    mean, variance = by_brute_force(snapshot, points, fusion)
+    exact = snapshot.calibration.probability(mean, variance)
+    got = snapshot.query(points, fusion.name.lower())
+    assert abs(got.occupancy - exact).max() < 1e-3
+    assert abs(got.mean - mean).max() < 5e-3
+    np.testing.assert_allclose(got.variance, variance, rtol=2e-2)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"free_evidence": "segments"},
+        {"length_scale_m": 0.35, "signal_std": 1.4},
+        {"coarse_levels": 0, "max_observations": 120},
+    ],
+    ids=["segments", "another kernel", "many small experts"],
+)
+def test_the_index_is_as_good_whatever_the_map_is_made_of(
+    points: np.ndarray, settings: dict[str, object]
+) -> None:
+    snapshot = mapped(5, **settings).snapshot()
+    mean, variance = by_brute_force(snapshot, points, Fusion.BCM)
+    exact = snapshot.calibration.probability(mean, variance)
+    assert abs(snapshot.query(points).occupancy - exact).max() < 2e-3
+
+
+def test_walls_are_occupied_the_room_is_free_and_beyond_is_unknown(snapshot: Snapshot) -> None:
+    answer = snapshot.query([(-3.03, 0.5), (1.02, 0.7), (-1.0, 0.0), (2.5, -1.5), (-8.0, 0.0)])
+    assert (answer.occupancy[:2] > 0.9).all()
+    assert (answer.occupancy[2:4] < 0.1).all()
+    assert answer.known.tolist() == [True, True, True, True, False]
+
+
+@pytest.mark.parametrize("distance", [20.0, 1e3, 1e7, 1e15, 1e300, 1.7e308])
+def test_unknown_space_is_exactly_even_at_any_distance(snapshot: Snapshot, distance: float) -> None:
+    around = distance * np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (1e-9, -1)])
+    for fusion in ("bcm", "rbcm"):
+        answer = snapshot.query(around, fusion)
+        assert (answer.occupancy == 0.5).all()
+        assert (answer.mean == 0.0).all()
+        assert (answer.variance == snapshot.prior_variance).all()
+        assert not answer.known.any()
+
+
+def test_known_and_unknown_points_may_be_asked_together(
+    snapshot: Snapshot, points: np.ndarray
+) -> None:
+    far = np.array([[1e300, 0.0], [0.0, -1e300]])
+    mixed = snapshot.query(np.concatenate([far[:1], points, far[1:]]))
+    assert np.array_equal(mixed.occupancy[1:-1], snapshot.query(points).occupancy)
+    assert mixed.occupancy[[0, -1]].tolist() == [0.5, 0.5]
+
+
+def test_points_asked_one_by_one_get_the_same_answers(
+    snapshot: Snapshot, points: np.ndarray
+) -> None:
+    together = snapshot.query(points[:60])
+    for i in range(60):
+        alone = snapshot.query(points[i : i + 1])
+        assert alone.occupancy[0] == together.occupancy[i]
+        assert alone.variance[0] == together.variance[i]
+
+
+def test_a_grid_is_asked_at_the_centres_of_its_cells(snapshot: Snapshot) -> None:
+    grid = snapshot.grid((-1.0, 0.5, 0.6, 1.5), 0.25)
+    assert grid.occupancy.shape == grid.variance.shape == grid.known.shape == (4, 7)
+    for row, column in [(0, 0), (3, 0), (0, 6), (2, 3)]:
+        at = [(-1.0 + (column + 0.5) * 0.25, 0.5 + (row + 0.5) * 0.25)]
+        assert grid.occupancy[row, column] == snapshot.query(at).occupancy[0]
+
+
+@pytest.mark.parametrize("bbox", [(0.0, 0.0, 0.3, 0.1), (1e6, 1e6, 1e6 + 0.3, 1e6 + 0.1)])
+def test_rounding_adds_no_cells(bbox: tuple[float, float, float, float]) -> None:
+    assert Snapshot().grid(bbox, 0.1).occupancy.shape == (1, 3)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        [1.0, 2.0],
+        [[1.0, 2.0, 3.0]],
+        [[[1.0, 2.0]]],
+        5.0,
+        "here",
+        [["a", "b"]],
+        None,
+        [[1.0, 2.0], [3.0]],
+        [[np.nan, 0.0]],
+        [[0.0, np.inf]],
+        [[0.0, -np.inf]],
+        [[10**400, 0]],
+        [[1j, 0]],
+        {"x": 1},
+    ],
+    ids=repr,
+)
+def test_points_that_are_none_are_refused(snapshot: Snapshot, wrong: object) -> None:
+    with pytest.raises(InvalidQueryError, match="points"):
+        snapshot.query(wrong)  # type: ignore[arg-type]
+
+
+def test_an_unknown_fusion_rule_is_refused(snapshot: Snapshot) -> None:
+    with pytest.raises(InvalidQueryError, match="'average' is not known"):
+        snapshot.query([[0.0, 0.0]], "average")
+
+
+@pytest.mark.parametrize(
+    ("bbox", "resolution_m"),
+    [
+        ((0.0, 0.0, 0.0, 1.0), 0.1),
+        ((0.0, 2.0, 1.0, 1.0), 0.1),
+        ((0.0, 0.0, np.nan, 1.0), 0.1),
+        ((0.0, 0.0, np.inf, 1.0), 0.1),
+        ((0.0, 0.0, 1.0), 0.1),
+        ((0.0, 0.0, 1.0, 1.0), 0.0),
+        ((0.0, 0.0, 1.0, 1.0), -0.1),
+        ((0.0, 0.0, 1.0, 1.0), np.nan),
+        ((0.0, 0.0, 1e6, 1e6), 0.1),
+        ((-1e308, 0.0, 1e308, 1.0), 1e-3),
+    ],
+)
+def test_a_raster_that_is_none_is_refused(
+    snapshot: Snapshot, bbox: tuple[float, ...], resolution_m: float
+) -> None:
+    with pytest.raises(InvalidQueryError, match=r"bbox|resolution|cells"):
+        snapshot.grid(bbox, resolution_m)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("fusion", [rule.name.lower() for rule in Fusion])
+def test_the_empty_map_knows_nothing(fusion: str) -> None:
+    empty = Mapper(MapConfig(signal_std=2.0)).snapshot()
+    answer = empty.query([[0.0, 0.0], [1e300, 1.0]], fusion)
+    assert answer.occupancy.tolist() == [0.5, 0.5]
+    assert answer.variance.tolist() == [4.0, 4.0]
+    assert not answer.known.any()
+    assert empty.bounds is None
+    assert empty.changed_bounds is None
+    assert empty.experts() == []
+    assert empty.version == 0
+
+
+def test_no_points_get_no_answers(snapshot: Snapshot) -> None:
+    for nothing in ([], np.empty((0, 2))):
+        assert snapshot.query(nothing).occupancy.shape == (0,)
+
+
+def test_bounds_enclose_the_evidence(snapshot: Snapshot) -> None:
+    assert snapshot.bounds is not None
+    xmin, ymin, xmax, ymax = snapshot.bounds
+    assert -3.3 < xmin < -3.0
+    assert -2.3 < ymin < -2.0
+    assert 5.0 < xmax < 11.0  # through the door, as far as the scanner sees
+    assert 2.0 < ymax < 10.0
+
+
+def test_experts_are_listed_with_their_evidence(snapshot: Snapshot) -> None:
+    experts = snapshot.experts()
+    assert [e.cluster_id for e in experts] == sorted(snapshot.members)
+    for e in experts:
+        assert e.observations >= e.hits >= 0
+        assert e.length_scale_m == MapConfig().length_scale_m
+        assert np.isfinite(e.line).all()
+    assert sum(e.hits for e in experts) > 100
+
+
+def test_shards_of_a_committee_are_a_committee(snapshot: Snapshot, points: np.ndarray) -> None:
+    members = list(snapshot.members.values())
+    empty = replace(snapshot, members={}, sectors={})
+    shards = [empty.swapped(members[i::3]) for i in range(3)]
+    for fusion in (Fusion.BCM, Fusion.RBCM):
+        sums = [shard.sums(points, fusion) for shard in shards]
+        precision = sum(s[0] for s in sums) - 2.0 / snapshot.prior_variance
+        information = sum(s[1] for s in sums)
+        whole = snapshot.sums(points, fusion)
+        np.testing.assert_allclose(precision, whole[0], rtol=1e-9)
+        np.testing.assert_allclose(information, whole[1], rtol=1e-9, atol=1e-9)
+
+
+def test_the_order_in_which_experts_came_does_not_matter(
+    snapshot: Snapshot, points: np.ndarray
+) -> None:
+    members = list(snapshot.members.values())
+    empty = replace(snapshot, members={}, sectors={})
+    one_by_one = empty
+    for member in members[::-1]:
+        one_by_one = one_by_one.swapped([member])
+    assert same(one_by_one.query(points), snapshot.query(points))
+
+
+def test_a_committee_without_an_expert_is_one_that_never_had_it(
+    snapshot: Snapshot, points: np.ndarray
+) -> None:
+    gone, *others = snapshot.members.values()
+    without = snapshot.swapped([], [gone.cluster_id])
+    never = replace(snapshot, members={}, sectors={}).swapped(others)
+    assert gone.cluster_id not in without.members
+    assert same(without.query(points), never.query(points))
+    assert not same(without.query(points), snapshot.query(points))
+
+
+def test_a_version_answers_the_same_whatever_comes_after(points: np.ndarray) -> None:
+    mapper = mapped(3)
+    old = mapper.snapshot()
+    version, before, experts = old.version, old.query(points), old.experts()
+    for i in range(4):
+        mapper.update(look(0.5 - 0.3 * i, 0.2 * i, walls=[((-1.0, 1.43), (2.0, 1.44))]))
+        mapper.train()
+    assert same(old.query(points), before)
+    assert old.version == version
+    assert old.experts() == experts
+    assert mapper.snapshot().version > version
+    assert not same(mapper.snapshot().query(points), before)
+
+
+def test_what_is_outside_the_changed_area_answers_as_before(points: np.ndarray) -> None:
+    mapper = mapped(6)
+    old = mapper.snapshot()
+    mapper.update(look(2.6, 0.0, walls=[((2.8, -0.2), (2.8, 0.2))], range_max=0.5))
+    new = old.swapped([job.run() for job in mapper.take_jobs(1000)])
+    assert new.changed_bounds is not None
+    xmin, ymin, xmax, ymax = new.changed_bounds
+    x, y = points.T
+    outside = (x < xmin) | (x > xmax) | (y < ymin) | (y > ymax)
+    assert 0 < np.count_nonzero(outside) < len(points)
+    a, b = old.query(points), new.query(points)
+    assert np.array_equal(a.variance[outside], b.variance[outside])
+    assert not np.array_equal(a.variance, b.variance)
+
+
+def test_where_nothing_reaches_all_is_unknown(snapshot: Snapshot, points: np.ndarray) -> None:
+    assert snapshot.reach is not None
+    xmin, ymin, xmax, ymax = snapshot.reach
+    x, y = points.T
+    outside = (x < xmin) | (x > xmax) | (y < ymin) | (y > ymax)
+    assert 0 < np.count_nonzero(outside) < len(points)
+    assert (snapshot.query(points[outside]).variance == snapshot.prior_variance).all()
+
+
+def test_a_new_calibration_changes_probabilities_and_nothing_else(
+    snapshot: Snapshot, points: np.ndarray
+) -> None:
+    other = snapshot.with_calibration(Calibration(slope=1.0))
+    a, b = snapshot.query(points), other.query(points)
+    assert np.array_equal(a.mean, b.mean)
+    assert np.array_equal(a.variance, b.variance)
+    assert not np.array_equal(a.occupancy, b.occupancy)
+    assert other.changed_bounds == snapshot.reach
+
+
+def same(a: Prediction, b: Prediction) -> bool:
+    return all(
+        np.array_equal(getattr(a, name), getattr(b, name))
+        for name in ("occupancy", "mean", "variance", "known")
+    )
