@@ -14,7 +14,7 @@ class MapConfig(BaseModel):
         pydantic.ValidationError: a value is out of range or a key is unknown.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     # Evidence
     free_evidence: Literal["areas", "segments"] = "areas"

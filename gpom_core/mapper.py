@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gpom_core.calibration import DEFAULT_SLOPE, Calibration
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence, UpdateReport
-from gpom_core.expert import Expert, Hyperparameters, train
+from gpom_core.expert import Expert, Hyperparameters, TrainingError, train
 from gpom_core.learning import LearningRule, learn
 from gpom_core.member import TILE_M, Bounds, Member
 from gpom_core.observations import Observations
@@ -59,6 +59,13 @@ class TrainingJob:
             ).hyperparameters
         expert = train(self.observations, chosen)
         return as_member(self.cluster_id, self.revision, expert, self.line)
+
+
+def _run_or_error(job: TrainingJob) -> TrainedExpert | TrainingError:
+    try:
+        return job.run()
+    except TrainingError as error:
+        return error
 
 
 def as_member(
@@ -197,13 +204,14 @@ class Mapper:
     def swap(self, trained: Sequence[TrainedExpert]) -> Snapshot:
         """Put trained experts into a new version of the map.
 
-        A result older than what the map holds is discarded.
+        A result older than what the map holds, or of a cluster that is gone, is discarded.
         """
         fresh = []
         for member in trained:
             self._training.discard(member.cluster_id)
             old = self._snapshot.members.get(member.cluster_id)
-            if old is None or old.revision < member.revision:
+            stale = old is not None and old.revision >= member.revision
+            if not stale and self._evidence.clusters.rows[member.cluster_id] > 0:
                 fresh.append(member)
         gone, self._gone = self._gone, set()
         if fresh or gone:
@@ -231,9 +239,21 @@ class Mapper:
         """
         jobs = self.take_jobs(2**31)
         run = map if executor is None else executor.map
-        trained = list(run(TrainingJob.run, jobs))
+        try:
+            outcomes = list(run(_run_or_error, jobs))
+        except BaseException:  # the executor broke, or the user is impatient
+            for job in jobs:
+                self.fail(job)
+            raise
         self._calibrated = 0  # whatever was trained, this version is calibrated
-        return self.swap(trained)
+        snapshot = self.swap([outcome for outcome in outcomes if isinstance(outcome, Member)])
+        errors = [outcome for outcome in outcomes if isinstance(outcome, TrainingError)]
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            if isinstance(outcome, TrainingError):
+                self.fail(job)
+        if errors:
+            raise errors[0]
+        return snapshot
 
     def _calibrate(self, snapshot: Snapshot) -> Snapshot:
         """`snapshot` with its calibration fitted anew, if that matters.
