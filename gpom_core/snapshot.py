@@ -101,7 +101,7 @@ class Snapshot:
         """xmin, ymin, xmax, ymax of all evidence, metres; None while there is none."""
         return union(member.bounds for member in self.members.values())
 
-    @property
+    @cached_property
     def reach(self) -> Bounds | None:
         """As `bounds`, grown by how far evidence has a say; beyond, all is unknown."""
         return union(_reach(member) for member in self.members.values())
@@ -114,7 +114,7 @@ class Snapshot:
             len(points), prior_precision(fusion, self.prior_variance, len(self.members))
         )
         information = np.zeros(len(points))
-        for key, which in _by_sector(points, self.bounds).items():
+        for key, which in _by_sector(points, self.reach).items():
             sector = self.sectors.get(key)
             if sector is not None:
                 committee_sums(
@@ -255,12 +255,11 @@ def _reach(member: Member) -> Bounds:
     return xmin - margin, ymin - margin, xmax + margin, ymax + margin
 
 
-def _by_sector(points: NDArray[np.float64], bounds: Bounds | None) -> dict[int, NDArray[np.int64]]:
+def _by_sector(points: NDArray[np.float64], reach: Bounds | None) -> dict[int, NDArray[np.int64]]:
     """Numbers of the points in each sector; points no evidence can reach are left out."""
-    if bounds is None or len(points) == 0:
+    if reach is None or len(points) == 0:
         return {}
-    low, high = np.array(bounds[:2]) - SECTOR_M, np.array(bounds[2:]) + SECTOR_M
-    near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+    near = np.flatnonzero(((points >= reach[:2]) & (points <= reach[2:])).all(axis=1))
     if len(near) == 0:
         return {}
     index = np.floor(points[near] / SECTOR_M).astype(np.int64)

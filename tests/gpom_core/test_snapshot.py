@@ -72,6 +72,18 @@ def test_the_index_is_as_good_whatever_the_map_is_made_of(
     assert abs(snapshot.query(points).occupancy - exact).max() < 2e-3
 
 
+def test_a_long_length_scale_reaches_far() -> None:
+    mapper = Mapper(MapConfig(length_scale_m=3.0))
+    mapper.update(look(0.0, 0.0, walls=[((1.0, -0.1), (1.0, 0.1))], range_max=1.5, beams=30))
+    snapshot = mapper.train()
+    around = 11.0 * np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
+    mean, variance = by_brute_force(snapshot, around, Fusion.BCM)
+    got = snapshot.query(around)
+    assert (got.variance < snapshot.prior_variance).all()
+    np.testing.assert_allclose(got.variance, variance, atol=1e-3)
+    np.testing.assert_allclose(got.mean, mean, atol=1e-3)
+
+
 def test_walls_are_occupied_the_room_is_free_and_beyond_is_unknown(snapshot: Snapshot) -> None:
     answer = snapshot.query([(-3.03, 0.5), (1.02, 0.7), (-1.0, 0.0), (2.5, -1.5), (-8.0, 0.0)])
     assert (answer.occupancy[:2] > 0.9).all()
