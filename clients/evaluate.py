@@ -15,6 +15,7 @@ from rich.progress import track as track_on_console
 
 from clients.contenders import Contender, Track, gpom_map, grids, running_service, untracked
 from clients.map_client import MapClient
+from clients.options import MapFrame, Topic
 from clients.protocol import (
     LabelledPoints,
     evaluate,
@@ -102,8 +103,8 @@ def report(trial: Trial, contenders: Sequence[Contender]) -> dict[str, object]:
     return summary | {"methods": {c.name: _scored(trial, c) for c in contenders}}
 
 
-def evaluate_command(
-    file: Annotated[Path, typer.Argument(help="CARMEN log, gzipped or not.")],
+def evaluate_command(  # noqa: PLR0913, PLR0917 - every option is an argument
+    file: Annotated[Path, typer.Argument(help="CARMEN log, or ROS bag (ROS 1, sqlite3, MCAP).")],
     share: Annotated[str, typer.Option(help="Share of the training scans: 1, 1/3, 1/10 …")] = "1",
     seed: Annotated[int, typer.Option(min=0, help="Draw of the test points.")] = 0,
     url: Annotated[
@@ -118,6 +119,8 @@ def evaluate_command(
         float | None,
         typer.Option(help="Also score the points farther than this from every training beam."),
     ] = None,
+    topic: Topic = None,
+    map_frame: MapFrame = None,
 ) -> None:
     """Build a map from most scans of a log, score it on the others, print JSON.
 
@@ -129,7 +132,7 @@ def evaluate_command(
     fusions = list(dict.fromkeys(fusion or ["bcm"]))
     for name in fusions:
         Fusion.named(name)
-    trial = prepare(file.name, read_scans(file), part, seed, far_m)
+    trial = prepare(file.name, read_scans(file, topic, map_frame), part, seed, far_m)
     track = _on_console(Console(stderr=True))
     with ExitStack() as stack:
         if url is None:

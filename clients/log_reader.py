@@ -33,6 +33,8 @@ class ReadOptions:
         no_returns: what a no-return becomes.
         range_cap_m: longest range to believe; None for all that the sensor gives.
         range_ceiling_m: readings from here on are no-returns; None to find it in the log.
+        topic: of the scans, in a bag that has several.
+        map_frame: in which scans are placed, in a bag; None to find it.
 
     Raises:
         ConfigurationError: a limit is not a positive number.
@@ -41,6 +43,8 @@ class ReadOptions:
     no_returns: NoReturns = NoReturns.IGNORE
     range_cap_m: float | None = None
     range_ceiling_m: float | None = None
+    topic: str | None = None
+    map_frame: str | None = None
 
     def __post_init__(self) -> None:
         for name in ("range_cap_m", "range_ceiling_m"):
@@ -63,6 +67,7 @@ class LogSummary:
         range_ceiling_m: readings from here on are no-returns; None when the log shows no ceiling.
         no_return_share: of all beams.
         skipped: unreadable records, number per reason.
+        notes: what was chosen where there was a choice, for people.
     """
 
     format: str
@@ -73,6 +78,7 @@ class LogSummary:
     range_ceiling_m: float | None
     no_return_share: float
     skipped: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 class LogReader(Protocol):

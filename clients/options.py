@@ -19,6 +19,13 @@ Wait = Annotated[
     float, typer.Option(help="Wait so long for the map service.", min=0.0, metavar="SECONDS")
 ]
 Url = Annotated[str, typer.Option(help="Address of the map service.", metavar="URL")]
+Topic = Annotated[
+    str | None, typer.Option(help="Topic of the scans, in a ROS bag with several.", metavar="TOPIC")
+]
+MapFrame = Annotated[
+    str | None,
+    typer.Option(help="Frame to place scans in, in a ROS bag.  [default: map]", metavar="FRAME"),
+]
 Fusion = Annotated[str, typer.Option(help="Rule that merges experts: bcm, rbcm or poe.")]
 
 __all__ = [
@@ -28,8 +35,10 @@ __all__ = [
     "DEFAULT_WAIT_S",
     "Connect",
     "Fusion",
+    "MapFrame",
     "Prefix",
     "Sensor",
+    "Topic",
     "Url",
     "Wait",
     "parse_box",

@@ -54,13 +54,18 @@ class LabelledPoints:
         return LabelledPoints(self.points[chosen], self.occupied[chosen])
 
 
-def read_scans(path: Path) -> list[Scan]:
+def read_scans(path: Path, topic: str | None = None, map_frame: str | None = None) -> list[Scan]:
     """Read a log as the protocol wants it: capped, and no-returns ignored.
+
+    Args:
+        path: of a CARMEN log or a ROS bag.
+        topic: of the scans, in a bag that has several.
+        map_frame: in which scans are placed, in a bag.
 
     Raises:
         LogReadError: the file cannot be read as a log of laser scans.
     """
-    options = ReadOptions(no_returns=NoReturns.IGNORE, range_cap_m=RANGE_CAP_M)
+    options = ReadOptions(NoReturns.IGNORE, RANGE_CAP_M, None, topic, map_frame)
     return [capped(scan) for scan in open_log(path, options)]
 
 

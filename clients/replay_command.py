@@ -14,15 +14,19 @@ from clients.options import (
     DEFAULT_PREFIX,
     DEFAULT_WAIT_S,
     Connect,
+    MapFrame,
     Prefix,
     Sensor,
+    Topic,
     Wait,
 )
 from clients.replay import Pace, cut, robot_names, schedule
 
 
 def replay(  # noqa: PLR0913, PLR0917 - every option is an argument
-    file: Annotated[Path, typer.Argument(help="CARMEN log, gzipped or not.", metavar="FILE")],
+    file: Annotated[
+        Path, typer.Argument(help="CARMEN log, or ROS bag (ROS 1, sqlite3, MCAP).", metavar="FILE")
+    ],
     robot: Annotated[str, typer.Option(help="Name of the robot.", metavar="NAME")],
     robots: Annotated[
         int,
@@ -55,6 +59,8 @@ def replay(  # noqa: PLR0913, PLR0917 - every option is an argument
             "or free space up to the range limit.",
         ),
     ] = NoReturns.IGNORE,
+    topic: Topic = None,
+    map_frame: MapFrame = None,
     connect: Connect = DEFAULT_ENDPOINTS,
     prefix: Prefix = DEFAULT_PREFIX,
     sensor: Sensor = "laser",
@@ -69,9 +75,11 @@ def replay(  # noqa: PLR0913, PLR0917 - every option is an argument
     pace = Pace(rate, speed)
     names = robot_names(robot, robots)
     with errors.status(f"reading {file.name} …"):
-        log = open_log(file, ReadOptions(no_return, range_cap_m))
+        log = open_log(file, ReadOptions(no_return, range_cap_m, None, topic, map_frame))
         trajectories = cut(list(log), robots, skip_held_out=skip_held_out)
         departures = schedule(trajectories, pace)
+    for note in log.describe().notes:
+        errors.print(note, highlight=False)
     _warn_of_skipped_lines(log, errors)
     settings = FleetSettings(connect, prefix, sensor, wait_s)
     report = run_fleet(names, departures, len(departures), settings, errors)

@@ -5,12 +5,22 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Any, ClassVar
 
-from gpom_core.errors import ConfigurationError, GpomError, InvalidQueryError, InvalidScanError
+from gpom_core.errors import (
+    ConfigurationError,
+    GpomError,
+    InvalidQueryError,
+    InvalidScanError,
+    InvalidTransformError,
+    RosMessageError,
+    UnknownPoseError,
+)
 from gpom_core.expert import TrainingError
+from gpom_core.image import InvalidImageError
 from service.errors import (
     BusyError,
     FlushTimeoutError,
     JournalError,
+    MapFileError,
     NotAcceptableError,
     NotReadyError,
     PayloadTooLargeError,
@@ -36,15 +46,26 @@ KINDS: dict[type[GpomError], Kind] = {
     FlushTimeoutError: Kind(HTTPStatus.GATEWAY_TIMEOUT, "flush-timeout", "Not done in time"),
     InvalidQueryError: Kind(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-query", "Invalid query"),
     InvalidScanError: Kind(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-scan", "Invalid scan"),
+    InvalidTransformError: Kind(
+        HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-transform", "Invalid transform"
+    ),
     JournalError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "journal", "Scans cannot be stored"),
+    MapFileError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "map-file", "Bad map file"),
+    InvalidImageError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "image", "Bad state of a map"),
     NotAcceptableError: Kind(HTTPStatus.NOT_ACCEPTABLE, "not-acceptable", "No such form of answer"),
     NotReadyError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "not-ready", "Not ready"),
     PayloadTooLargeError: Kind(
         HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "too-large", "Request too large"
     ),
+    RosMessageError: Kind(
+        HTTPStatus.UNPROCESSABLE_ENTITY, "ros-message", "No ROS message of this type"
+    ),
     SourceError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "source", "Scans cannot arrive"),
     StoppingError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "stopping", "Shutting down"),
     TrainingError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "training", "Training failed"),
+    UnknownPoseError: Kind(
+        HTTPStatus.UNPROCESSABLE_ENTITY, "unknown-pose", "Where the sensor was is not known"
+    ),
     UnsupportedMediaError: Kind(
         HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "unsupported-media", "Media type not understood"
     ),
@@ -85,5 +106,5 @@ def problem_of(error: BaseException) -> Problem:
     if isinstance(error, BusyError):
         return Problem(kind, str(error), headers={"Retry-After": str(error.retry_after_s)})
     if isinstance(error, NotReadyError):
-        return Problem(kind, str(error), {"troubles": error.troubles})
+        return Problem(kind, str(error), {"troubles": error.troubles}, {"Retry-After": "1"})
     return Problem(kind, str(error))
