@@ -82,11 +82,16 @@ def look(
 
 
 def tour(scans: int = 12, *, beams: int = 90, noise: float = 0.01) -> list[Scan]:
-    """Scans along a curve through the room."""
+    """Scans along a curve through the room, from no place on an edge of the lattice."""
     t = np.linspace(0.0, 1.0, scans)
     return [
         look(
-            -2.5 + 4.9 * s, -1.0 + 0.8 * np.sin(5.0 * s), 3.0 * s, beams=beams, noise=noise, seed=i
+            -2.47 + 4.9 * s,
+            -1.02 + 0.8 * np.sin(5.0 * s),
+            3.0 * s,
+            beams=beams,
+            noise=noise,
+            seed=i,
         )
         for i, s in enumerate(t)
     ]
