@@ -119,9 +119,14 @@ class MapService:
             self.stop()
             raise
 
+    def hang_up(self) -> None:
+        """End what keeps connections open for long: event streams and heavy queries."""
+        self.events.close()
+        self.queries.close()
+
     def stop(self) -> None:
         """Let no more scans in, finish what is quick to finish, end every thread."""
-        self.events.close()
+        self.hang_up()
         self._ingest.queue.close()  # first, so that a blocked source lets go
         self._ports.source.close()
         drained = self._ingest.worker.join(_DRAIN_S)
@@ -129,7 +134,6 @@ class MapService:
         if not (self._ingest.worker.join(_DRAIN_S) and drained):
             logger.warning("some scans that were received are not stored")
         self._mapping.worker.join(_DRAIN_S)
-        self.queries.close()
         self._tile_desk.close()
         self._pool.shutdown(wait=False, cancel_futures=True)
         self._ports.journal.close()
@@ -166,7 +170,8 @@ class MapService:
             # zenoh calls bytes of no stated type application/octet-stream or zenoh/bytes.
             request = read_request(query.body, query.media_type, query.fusion)
             snapshot = self.state.snapshot
-            prediction = predict(snapshot, request, self.settings.http.query_points_max)
+            points_max = self.settings.http.query_points_max
+            prediction = predict(snapshot, request, points_max, self.queries.check)
             body = write_answer(prediction, snapshot.version, query.media_type)
         except GpomError as error:
             return self._refuse(error)

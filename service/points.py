@@ -18,6 +18,7 @@ from pydantic_core import from_json, to_json
 
 from gpom_core.errors import InvalidQueryError
 from gpom_core.snapshot import Prediction, Snapshot
+from service import piecewise
 from service.errors import PayloadTooLargeError, UnsupportedMediaError
 
 JSON = "application/json"
@@ -143,8 +144,10 @@ def read_npy(body: bytes) -> NDArray[np.float64]:
     return np.ascontiguousarray(points, np.float64)
 
 
-def predict(snapshot: Snapshot, request: PointsRequest, points_max: int) -> Prediction:
-    """Answer a question from a snapshot.
+def predict(
+    snapshot: Snapshot, request: PointsRequest, points_max: int, check: piecewise.Check
+) -> Prediction:
+    """Answer a question from a snapshot; `check` is called again and again, and may raise.
 
     Raises:
         InvalidQueryError: a point is not finite.
@@ -154,7 +157,7 @@ def predict(snapshot: Snapshot, request: PointsRequest, points_max: int) -> Pred
     if count > points_max:
         message = f"{count} points in one query; at most {points_max} are allowed: split it"
         raise PayloadTooLargeError(message)
-    return snapshot.query(request.points, request.fusion)
+    return piecewise.query(snapshot, request.points, request.fusion, check)
 
 
 def write_answer(prediction: Prediction, map_version: int, media_type: str) -> bytes:

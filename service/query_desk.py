@@ -20,6 +20,7 @@ class QueryDesk:
         self._retry_after_s = retry_after_s
         self._taken = 0
         self._lock = threading.Lock()
+        self._closing = False
         self._pool = ThreadPoolExecutor(threads, thread_name_prefix=name)
 
     @property
@@ -47,8 +48,18 @@ class QueryDesk:
         future.add_done_callback(lambda _: self._leave())
         return future
 
+    def check(self) -> None:
+        """Let a call that runs for long end with the service.
+
+        Raises:
+            StoppingError: it is time.
+        """
+        if self._closing:
+            raise StoppingError("the service is shutting down")
+
     def close(self) -> None:
-        """Take no more calls, and forget those that did not start."""
+        """Take no more calls, forget those that did not start, end those that check."""
+        self._closing = True
         self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _leave(self) -> None:

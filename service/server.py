@@ -57,7 +57,7 @@ async def _serve(
         )
 
     async with app.router.lifespan_context(app):
-        server = _Server(config, on_started=announce_all, on_stopping=service.events.close)
+        server = _Server(config, on_started=announce_all, on_stopping=service.hang_up)
         await server.serve(sockets=[listener])
         logger.info("stopping")
 
@@ -101,11 +101,18 @@ class _Server(uvicorn.Server):
 
 def _listen(http: HttpSettings) -> socket.socket:
     family = socket.AF_INET6 if ":" in http.host else socket.AF_INET
+    # asyncio switches Nagle's algorithm off only where the protocol is named, and with it every
+    # answer waits 40 ms for the client's delayed acknowledgement.
+    listener = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
-        return socket.create_server((http.host, http.port), family=family, backlog=2048)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((http.host, http.port))
+        listener.listen(2048)
     except OSError as error:
+        listener.close()
         message = f"cannot listen on http://{http.host}:{http.port}: {error.strerror or error}"
         raise SourceError(message) from error
+    return listener
 
 
 def _url(listener: socket.socket) -> str:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Response
 from gpom_core.errors import InvalidQueryError
 from gpom_core.member import Bounds
 from gpom_core.snapshot import Prediction, Snapshot, grid_shape
-from service import nav2, render
+from service import nav2, piecewise, render
 from service.errors import PayloadTooLargeError
 from service.http.context import VERSION_HEADER, Service
 from service.points import NPY, Fusion, write_npy
@@ -49,7 +49,7 @@ async def grid(
     _check_size(box, resolution, service.settings.http.grid_cells_max)
 
     def draw() -> bytes:
-        cells = snapshot.grid(box, resolution, fusion)
+        cells = piecewise.grid(snapshot, box, resolution, fusion, service.queries.check)
         return _encode(cells, snapshot, box, resolution, layer, format)
 
     content = await asyncio.wrap_future(service.queries.submit(draw))

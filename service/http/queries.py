@@ -72,7 +72,8 @@ async def query_points(request: Request, service: Service, fusion: FusionQuery =
 
     def answer() -> bytes:
         question = read_request(body, asked_in, fusion)
-        prediction = predict(snapshot, question, service.settings.http.query_points_max)
+        points_max = service.settings.http.query_points_max
+        prediction = predict(snapshot, question, points_max, service.queries.check)
         return write_answer(prediction, snapshot.version, answer_in)
 
     content = await asyncio.wrap_future(service.queries.submit(answer))

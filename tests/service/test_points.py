@@ -15,6 +15,10 @@ from service.errors import PayloadTooLargeError, UnsupportedMediaError
 from service.points import JSON, NPY, read_npy, read_request, write_answer, write_npy
 
 
+def _go_on() -> None:
+    pass
+
+
 def _json(value) -> bytes:
     return json.dumps(value).encode()
 
@@ -116,19 +120,19 @@ def test_other_media_types_are_refused(media_type) -> None:
 def test_points_that_are_not_finite_are_refused(value) -> None:
     request = read_request(write_npy(np.array([[0.0, value]])), NPY, None)
     with pytest.raises(InvalidQueryError):
-        points.predict(Snapshot(), request, 10)
+        points.predict(Snapshot(), request, 10, _go_on)
 
 
 def test_too_many_points_say_how_many_are_allowed() -> None:
     request = read_request(write_npy(np.zeros((11, 2))), NPY, None)
     with pytest.raises(PayloadTooLargeError, match="at most 10"):
-        points.predict(Snapshot(), request, 10)
+        points.predict(Snapshot(), request, 10, _go_on)
 
 
 def test_answers_say_the_same_in_both_forms() -> None:
     snapshot = Snapshot()
     request = read_request(_json({"points": [[0, 0], [1, 1]]}), JSON, None)
-    prediction = points.predict(snapshot, request, 10)
+    prediction = points.predict(snapshot, request, 10, _go_on)
     as_json = json.loads(write_answer(prediction, 7, JSON))
     as_npy = np.load(io.BytesIO(write_answer(prediction, 7, NPY)))
     assert as_json["map_version"] == 7

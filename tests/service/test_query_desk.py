@@ -24,6 +24,20 @@ def test_more_than_it_takes_is_refused_at_once() -> None:
         desk.close()
 
 
+def test_long_calls_end_with_the_desk() -> None:
+    desk = QueryDesk(threads=1, waiting_max=0, retry_after_s=1)
+    desk.check()
+
+    def long() -> None:
+        while True:
+            desk.check()
+
+    future = desk.submit(long)
+    desk.close()
+    with pytest.raises(StoppingError):
+        future.result(5.0)
+
+
 def test_errors_reach_the_caller_and_free_the_place() -> None:
     desk = QueryDesk(threads=1, waiting_max=0, retry_after_s=1)
 

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 import httpx
 import pytest
@@ -91,12 +91,36 @@ def test_signals_end_it_cleanly_even_with_streams_open(number) -> None:
         listener.join()
 
 
+def test_a_long_answer_does_not_hold_the_end() -> None:
+    with _running() as process, open_session(connect=process.zenoh) as robot:
+        process.wait_until_ready()
+        robot.put(f"{PREFIX}/r1/scan/front", payload_at(seq=1))
+        while not httpx.get(f"{process.url}/v1/status").json()["scans_received"]:
+            time.sleep(0.01)
+        httpx.post(f"{process.url}/v1/flush", timeout=60.0).raise_for_status()
+
+        def draw() -> None:
+            with suppress(httpx.HTTPError):
+                url = f"{process.url}/v1/grid?bbox=-3,-3,3,3&resolution=0.0031"
+                httpx.get(url, timeout=60.0)
+
+        client = threading.Thread(target=draw)
+        client.start()
+        time.sleep(0.3)
+        code, took_s, errors = process.end(signal.SIGTERM)
+        client.join()
+        assert code == 0, errors
+        assert took_s < 5.0
+        assert "Traceback" not in errors
+
+
 def test_from_robot_to_events_and_answers() -> None:
     with _running() as process, open_session(connect=process.zenoh) as robot:
         process.wait_until_ready()
         with httpx.stream("GET", f"{process.url}/v1/events", timeout=60.0) as response:
-            events = _events(response)
-            assert next(events) == ("map", {"map_version": 0, "changed": None})
+            events = (event for event in _events(response) if event[0] in {"map", "robot"})
+            _, first = next(events)
+            assert (first["map_version"], first["changed"]) == (0, None)
             token = robot.liveliness().declare_token(f"{PREFIX}/r1/alive")
             assert next(events) == ("robot", {"robot": "r1", "alive": True})
             robot.put(f"{PREFIX}/r1/scan/front", payload_at(seq=1))
