@@ -41,14 +41,15 @@ def gram_with_slope(
     n, _, d = geometry.shape
     value, slope = np.empty((n, n)), np.empty((n, n))
     inverse = np.full(d, 1.0 / length_scale_m)
-    _gram_with_slope_into(kinds, geometry, inverse, value, slope)
+    gram_with_slope_into(kinds, geometry, inverse, value, slope)
     return value, slope
 
 
 @compiled
-def _gram_with_slope_into(
+def gram_with_slope_into(
     kinds: NDArray[np.uint8], geometry: _Floats, inverse: _Floats, value: _Floats, slope: _Floats
 ) -> None:
+    """`gram_with_slope`, written into value and slope (n, n); inverse length scales are (d,)."""
     lines = np.flatnonzero(kinds != _BOX)
     start, span = whitened(geometry, lines, inverse)
     if lines.size > 0:

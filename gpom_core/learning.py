@@ -10,16 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp, inf, log, pi
+from math import inf, log
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from gpom_core import lapack
 from gpom_core.errors import ConfigurationError
 from gpom_core.expert import Hyperparameters, TrainingError
-from gpom_core.kernel_gradients import gram_with_slope
+from gpom_core.likelihood import direction_of, learn_curvature, negative_log_posterior
 from gpom_core.observations import Observations
 
 Clock = Callable[[], float]
@@ -27,7 +26,9 @@ Clock = Callable[[], float]
 
 _Floats = NDArray[np.float64]
 _NAMES = ("length_scale_m", "signal_std", "hit_noise_scale", "free_noise_scale")
-_ENOUGH = 1e-3  # nats; a smaller gain ends the search
+_SHORTEST_STEP = 1e-4  # in logarithms
+_SHARE_OF_GAIN = 1e-4  # of what the gradient promised, that a step must bring (Armijo)
+_ENOUGH = 1e-2  # nats; a step of less gain ends the search: no likelihood is known that well
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class LearningRule:
             the smaller, the stronger the pull. inf for none.
         reach: farthest factor from the shared values, either way.
         evaluations: of likelihood and gradient, at most.
-        budget_s: no new evaluation begins after this; needs a clock. What is learned then depends
+        budget_s: no new step begins after this; needs a clock. What is learned then depends
             on the machine, so limit `evaluations` where answers must repeat.
         learned: names of the hyperparameters to learn; the others keep their shared value.
 
@@ -82,10 +83,6 @@ class Learned:
     converged: bool
 
 
-class _OutOfBudgetError(Exception):
-    """Ends the search from inside the objective."""
-
-
 def log_likelihood_with_gradient(
     observations: Observations, hyperparameters: Hyperparameters
 ) -> tuple[float, _Floats]:
@@ -98,35 +95,16 @@ def log_likelihood_with_gradient(
     Raises:
         TrainingError: the covariance is not positive definite.
     """
-    value, slope = gram_with_slope(
-        observations.kinds, observations.geometry, hyperparameters.length_scale_m
+    gradient = np.empty(4)
+    loss, _ = negative_log_posterior(
+        np.zeros(4), _vector(hyperparameters), inf, *_arrays(observations), gradient
     )
-    signal = hyperparameters.signal_std**2
-    noise = hyperparameters.noise_variance(observations)
-    precision = signal * value
-    precision[np.diag_indices_from(precision)] += noise
-    log_determinant = lapack.inverse_spd(precision, lapack.ADDRESSES)
-    if not np.isfinite(log_determinant):
+    if not np.isfinite(loss):
         raise TrainingError(
             f"the covariance of {len(observations)} observations is not positive definite at "
             f"{hyperparameters}; learn within narrower bounds"
         )
-    targets = observations.targets
-    weights = precision @ targets
-    fit = float(targets @ weights)
-    n = len(targets)
-    # 1/2 tr((a a' - K^-1) dK), with dK the slope, the kernel (K less its noise) and the noise
-    diagonal = noise * (weights**2 - np.diagonal(precision))
-    hit = targets > 0.0
-    gradient = np.array(
-        [
-            0.5 * signal * (float(weights @ (slope @ weights)) - _dot(precision, slope)),
-            (fit - n) - float(diagonal.sum()),
-            float(diagonal[hit].sum()),
-            float(diagonal[~hit].sum()),
-        ]
-    )
-    return -0.5 * (fit + log_determinant + n * log(2.0 * pi)), gradient
+    return -loss, -gradient
 
 
 def learn(
@@ -148,76 +126,89 @@ def learn(
 
     Raises:
         ConfigurationError: the rule has a time budget, but there is no clock.
-        TrainingError: there are no observations.
+        TrainingError: there are no observations, or they are not finite.
     """
     rule = rule or LearningRule()
     if clock is None and rule.budget_s < inf:
         raise ConfigurationError("a time budget needs a clock, such as time.monotonic")
     if len(observations) == 0:
         raise TrainingError("learning needs at least one observation, got none")
-    search = _Search(observations, shared, rule, clock)
-    width = np.array([log(rule.reach) if name in rule.learned else 0.0 for name in _NAMES])
-    first = np.zeros(4) if start is None else search.offset_of(start)
-    try:
-        found = minimize(
-            search.loss,
-            np.clip(first, -width, width),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=list(zip(-width, width, strict=True)),
-            options={"ftol": _ENOUGH / max(1.0, len(observations)), "gtol": _ENOUGH},
-        )
-        converged = bool(found.success)
-    except _OutOfBudgetError:
-        converged = False
-    return Learned(search.at(search.best), search.best_likelihood, search.evaluations, converged)
+    search = _Search(observations, shared, rule, start or shared)
+    end_s = inf if clock is None else clock() + rule.budget_s
+    converged = False
+    while not converged and search.left > 0 and (clock is None or clock() <= end_s):
+        converged = search.step() < _ENOUGH and search.left > 0
+    return search.learned(converged)
 
 
 class _Search:
-    """The objective in offsets of the logarithms from the shared values, and the best so far."""
+    """Where the search is, in offsets of the logarithms from the shared values."""
 
     def __init__(
         self,
         observations: Observations,
         shared: Hyperparameters,
         rule: LearningRule,
-        clock: Clock | None,
+        start: Hyperparameters,
     ) -> None:
-        self._observations, self._shared, self._rule = observations, shared, rule
-        self._clock = clock
-        self._end_s = inf if clock is None else clock() + rule.budget_s
-        self.evaluations = 0
-        self.best, self.best_likelihood, self._least = np.zeros(4), -inf, inf
+        self._shared, self._spread = _vector(shared), rule.spread
+        self._arrays = _arrays(observations)
+        self._width = np.array([log(rule.reach) * (name in rule.learned) for name in _NAMES])
+        self._evaluations = self.left = rule.evaluations
+        self._curvature = np.eye(4)
+        offset = np.log(_vector(start) / self._shared)
+        self._offset = np.clip(offset, -self._width, self._width)
+        self._loss, self._likelihood, self._gradient = self._evaluate(self._offset)
+        if not np.isfinite(self._loss):
+            raise TrainingError(
+                f"the covariance of {len(observations)} observations is not positive definite "
+                "where learning starts; check that their geometry and noise are finite"
+            )
 
-    def at(self, offset: _Floats) -> Hyperparameters:
-        """Hyperparameters at an offset (4,)."""
-        values = {
-            name: getattr(self._shared, name) * exp(float(o))
-            for name, o in zip(_NAMES, offset, strict=True)
-        }
-        return Hyperparameters(**values)
+    def step(self) -> float:
+        """Take a step that gains, halving it until it does; how much the posterior gained."""
+        direction = direction_of(self._offset, self._gradient, self._curvature, self._width)
+        longest, share = float(np.abs(direction).max()), 1.0
+        while self.left > 0 and share * longest > _SHORTEST_STEP:
+            there = np.clip(self._offset + share * direction, -self._width, self._width)
+            expected = float(self._gradient @ (there - self._offset))
+            loss, likelihood, gradient = self._evaluate(there)
+            gain = self._loss - loss
+            if gain >= -_SHARE_OF_GAIN * expected:  # never true of NaN
+                learn_curvature(self._curvature, there - self._offset, gradient - self._gradient)
+                self._offset, self._gradient = there, gradient
+                self._loss, self._likelihood = loss, likelihood
+                return gain
+            # the minimum of the parabola through what is known, within reason
+            bend = -gain - expected
+            share *= min(max(-0.5 * expected / bend, 0.1), 0.5) if bend > 0.0 else 0.25
+        return 0.0
 
-    def offset_of(self, hyperparameters: Hyperparameters) -> _Floats:
-        """Where hyperparameters are."""
-        return np.array(
-            [log(getattr(hyperparameters, n) / getattr(self._shared, n)) for n in _NAMES]
+    def learned(self, converged: bool) -> Learned:
+        """The result as it stands."""
+        values = (self._shared * np.exp(self._offset)).tolist()
+        return Learned(
+            hyperparameters=Hyperparameters(**dict(zip(_NAMES, values, strict=True))),
+            log_likelihood=self._likelihood,
+            evaluations=self._evaluations - self.left,
+            converged=converged,
         )
 
-    def loss(self, offset: _Floats) -> tuple[float, _Floats]:
-        """Negative log posterior and its gradient (4,)."""
-        spent = self.evaluations >= self._rule.evaluations
-        late = self._clock is not None and self.evaluations > 0 and self._clock() > self._end_s
-        if spent or late:
-            raise _OutOfBudgetError
-        self.evaluations += 1
-        likelihood, gradient = log_likelihood_with_gradient(self._observations, self.at(offset))
-        pulled = offset / self._rule.spread**2
-        value = 0.5 * float(offset @ pulled) - likelihood
-        if value < self._least:
-            self._least, self.best, self.best_likelihood = value, offset.copy(), likelihood
-        return value, pulled - gradient
+    def _evaluate(self, offset: _Floats) -> tuple[float, float, _Floats]:
+        self.left -= 1
+        gradient = np.empty(4)
+        loss, likelihood = negative_log_posterior(
+            offset, self._shared, self._spread, *self._arrays, gradient
+        )
+        return loss, likelihood, gradient
 
 
-def _dot(a: _Floats, b: _Floats) -> float:
-    """Sum of the products of two matrices' elements."""
-    return float(np.dot(a.ravel(), b.ravel()))
+def _vector(hyperparameters: Hyperparameters) -> _Floats:
+    return np.array([getattr(hyperparameters, name) for name in _NAMES], np.float64)
+
+
+def _arrays(
+    o: Observations,
+) -> tuple[NDArray[np.uint8], _Floats, _Floats, _Floats, NDArray[np.int64]]:
+    """What the compiled likelihood reads."""
+    return o.kinds, o.geometry, o.targets, o.noise_variance, lapack.ADDRESSES
