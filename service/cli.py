@@ -46,12 +46,12 @@ def serve(
         return
 
     from service import logs, server  # noqa: PLC0415
-    from service.errors import SourceError  # noqa: PLC0415
+    from service.errors import JournalError, MapFileError, SourceError  # noqa: PLC0415
 
     logs.configure(settings.log_level)
     try:
         server.run(settings, announce=typer.echo)
-    except SourceError as error:
+    except (JournalError, MapFileError, SourceError) as error:
         raise _failure(str(error)) from error
 
 

@@ -4,6 +4,7 @@ GpomError
 ├── BusyError              more work than the service takes on at once; come back later
 ├── FlushTimeoutError      not everything received was integrated and trained in time
 ├── JournalError           scans could not be stored, so they were not accepted
+├── MapFileError           a checkpoint or an exported map cannot be read or written
 ├── NotReadyError          scans cannot arrive, be stored or be integrated at the moment
 ├── NotAcceptableError     an answer was asked for in a form that is not offered
 ├── PayloadTooLargeError   more points, cells or bytes than one request may have
@@ -35,6 +36,10 @@ class FlushTimeoutError(GpomError):
 
 class JournalError(GpomError):
     """Scans could not be stored, so they were not accepted."""
+
+
+class MapFileError(GpomError):
+    """A checkpoint or an exported map cannot be read or written."""
 
 
 class NotReadyError(GpomError):

@@ -21,20 +21,29 @@ from service.worker import Worker
 
 logger = logging.getLogger(__name__)
 
+_RETRY_S = 1.0  # while scans cannot be stored, it is tried this often whether they can be again
+
 Acknowledge = Callable[[Mapping[SensorKey, Cursor]], None]
 """Tells robots up to which scan everything is durable."""
 
 
 def acknowledge_nothing(cursors: Mapping[SensorKey, Cursor]) -> None:
-    """For a journal that is not durable: there is nothing to promise."""
+    """For sources that have no way back to robots."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Stored scans on their way into the map; `ticket` is the last one of the queue it covers."""
+    """Stored scans on their way into the map.
+
+    Attributes:
+        records: the scans.
+        ticket: the last one of the queue that is covered.
+        position: in the journal, of the last record.
+    """
 
     records: Sequence[ScanRecord]
     ticket: int
+    position: int = 0
 
 
 class Ingest:
@@ -69,20 +78,31 @@ class Ingest:
         """Take a scan from a source; blocks while the queue is full, if that is the policy."""
         self.queue.put(Envelope(robot, sensor, payload, self._clock.unix_s()))
 
+    def resume(self) -> None:
+        """Go on where the journal ends; to be called before the start."""
+        self._book = SequenceBook(self._journal.cursors())
+
+    def cursor(self, key: SensorKey) -> Cursor | None:
+        """Give the last stored scan of a sensor; None if there is none. From any thread."""
+        return self._book.cursor(key)
+
     def trouble(self) -> str | None:
         """Why scans cannot be taken in; None when they can."""
         return self.worker.trouble() or self._journal_trouble
 
     def _step(self) -> bool:
-        envelopes, ticket = self.queue.take(self._settings.batch_scans_max)
+        retry_s = None if self._journal_trouble is None else _RETRY_S
+        envelopes, ticket = self.queue.take(self._settings.batch_scans_max, retry_s)
         if not envelopes:
-            return False
+            if not self.queue.closed:
+                self._try_journal()
+            return not self.queue.closed
         records: list[ScanRecord] = []
         try:
             records = self._accept(envelopes)
         finally:
             # Whatever happens, the ticket travels on: a flush waits for it.
-            self._hand_on(Batch(records, ticket))
+            self._hand_on(Batch(records, ticket, self._journal.position))
         return True
 
     def _accept(self, envelopes: Sequence[Envelope]) -> list[ScanRecord]:
@@ -96,8 +116,8 @@ class Ingest:
             if record is None:
                 continue
             judgement = admission.judge(SensorKey(record.robot, record.sensor), record.scan)
-            if judgement.verdict is Verdict.STALE:
-                refused["stale"] += 1
+            if judgement.verdict is not Verdict.NEW:
+                refused[judgement.verdict.value] += 1
                 continue
             robots.add(record.robot)
             records.append(record)
@@ -129,20 +149,37 @@ class Ingest:
 
     def _store(self, records: Sequence[ScanRecord], admission: Admission) -> bool:
         """Commit, remember, acknowledge: in this order, so nothing is promised that can be lost."""
-        if not records:
-            return True
-        try:
-            with self._metrics.commit_seconds.time():
-                self._journal.append(records)
-        except JournalError as error:
-            if self._journal_trouble is None:
-                logger.exception("scans cannot be stored, and are refused")
-            self._journal_trouble = f"scans cannot be stored: {error}"
-            return False
-        self._journal_trouble = None
+        if records:
+            try:
+                with self._metrics.commit_seconds.time():
+                    self._journal.append(records)
+            except JournalError as error:
+                self._note_trouble(error)
+                return False
+            self._note_trouble(None)
         admission.commit()
-        self._acknowledge(admission.cursors)
+        if cursors := admission.cursors:
+            self._acknowledge(cursors)
         return True
+
+    def _try_journal(self) -> None:
+        """See whether scans can be stored again, while none come because robots wait for that."""
+        try:
+            self._journal.append(())
+        except JournalError as error:
+            self._note_trouble(error)
+        else:
+            self._note_trouble(None)
+
+    def _note_trouble(self, error: JournalError | None) -> None:
+        if error is not None:
+            if self._journal_trouble is None:
+                logger.error("scans are refused: %s", error)
+            self._metrics.journal_failures.inc()
+            self._journal_trouble = f"scans cannot be stored: {error}"
+        elif self._journal_trouble is not None:
+            logger.info("scans are stored again")
+            self._journal_trouble = None
 
     def _note(self, record: ScanRecord, lost: int) -> None:
         if lost:

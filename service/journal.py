@@ -1,14 +1,17 @@
 """The port by which accepted scans are stored, before they are acknowledged and integrated.
 
 The order is the promise: `append` returns, then robots are told, then the map changes.
+Stored scans are numbered 1, 2, 3, … by their position; a checkpoint of the map knows up to which
+position it goes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
 from gpom_core.scan import Scan
 from service.errors import JournalError
+from service.sequences import Cursor, SensorKey
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,15 +25,60 @@ class ScanRecord:
     scan: Scan
 
 
+@dataclass(frozen=True, slots=True)
+class StoredScan:
+    """A scan as it is read back: not decoded again yet."""
+
+    position: int
+    robot: str
+    sensor: str
+    payload: bytes
+    received_unix_s: float
+
+
 class Journal(Protocol):
-    """Where accepted scans are kept."""
+    """Where accepted scans are kept. One thread appends; `replay` may run beside it."""
+
+    @property
+    def durable(self) -> bool:
+        """Whether scans outlive the process."""
+        ...
+
+    @property
+    def position(self) -> int:
+        """Of the last scan that was stored; 0 before the first."""
+        ...
+
+    def open(self) -> None:
+        """Get ready; to be called before everything else.
+
+        Raises:
+            JournalError: it cannot be used; says why and what to do.
+        """
 
     def append(self, records: Sequence[ScanRecord]) -> None:
         """Store all of them or none; on return they are as durable as this journal makes them.
 
+        With no records it is tried whether something could be stored.
+
         Raises:
             JournalError: nothing was stored.
         """
+
+    def cursors(self) -> Mapping[SensorKey, Cursor]:
+        """Give the last scan of every sensor that was ever stored."""
+        ...
+
+    def replay(self, after: int, until: int) -> Iterator[StoredScan]:
+        """Read scans with `after` < position <= `until`, in order.
+
+        Raises:
+            JournalError: some of them are not there any more, or are damaged.
+        """
+        ...
+
+    def release(self, position: int) -> None:
+        """Scans up to `position` are in checkpoints, so they may be deleted when space is short."""
 
     def close(self) -> None:
         """Release what is held. May be called twice."""
@@ -39,8 +87,25 @@ class Journal(Protocol):
 class NoJournal:
     """Keeps nothing: the map lives as long as the process."""
 
+    durable = False
+    position = 0
+
+    def open(self) -> None:
+        """Do nothing."""
+
     def append(self, records: Sequence[ScanRecord]) -> None:
         """Let them pass."""
+
+    def cursors(self) -> Mapping[SensorKey, Cursor]:
+        """None."""
+        return {}
+
+    def replay(self, after: int, until: int) -> Iterator[StoredScan]:  # noqa: ARG002 - the port's
+        """None."""
+        return iter(())
+
+    def release(self, position: int) -> None:
+        """Do nothing."""
 
     def close(self) -> None:
         """Do nothing."""
@@ -52,6 +117,15 @@ class MemoryJournal:
 
     records: list[ScanRecord] = field(default_factory=list)
     broken: str | None = None
+    durable: bool = False
+
+    @property
+    def position(self) -> int:
+        """Of the last record."""
+        return len(self.records)
+
+    def open(self) -> None:
+        """Do nothing."""
 
     def append(self, records: Sequence[ScanRecord]) -> None:
         """Store all of them or none.
@@ -62,6 +136,25 @@ class MemoryJournal:
         if self.broken is not None:
             raise JournalError(self.broken)
         self.records.extend(records)
+
+    def cursors(self) -> Mapping[SensorKey, Cursor]:
+        """Give the last scan of every sensor."""
+        found: dict[SensorKey, Cursor] = {}
+        for record in self.records:
+            if record.scan.seq:
+                key = SensorKey(record.robot, record.sensor)
+                found[key] = Cursor(record.scan.boot, record.scan.seq)
+        return found
+
+    def replay(self, after: int, until: int) -> Iterator[StoredScan]:
+        """Read records in order."""
+        for index, record in enumerate(self.records[after:until], start=after + 1):
+            yield StoredScan(
+                index, record.robot, record.sensor, record.payload, record.received_unix_s
+            )
+
+    def release(self, position: int) -> None:
+        """Keep them all the same."""
 
     def close(self) -> None:
         """Do nothing: the records stay readable."""

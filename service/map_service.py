@@ -4,14 +4,17 @@ import logging
 import secrets
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import threadpoolctl
 
 from gpom_core.errors import GpomError
 from gpom_core.mapper import Mapper
+from service.archive import Archive
 from service.clock import Clock, SystemClock
+from service.errors import NotReadyError
 from service.events import EventBus, RobotChanged
-from service.fleet import Fleet
+from service.fleet import Fleet, IntakeStatus
 from service.ingest import Acknowledge, Ingest, acknowledge_nothing
 from service.journal import Journal, NoJournal
 from service.mapping import MapKeeper, MapState
@@ -19,6 +22,8 @@ from service.metrics import Metrics
 from service.points import predict, read_request, write_answer
 from service.problems import problem_of
 from service.query_desk import QueryDesk
+from service.saver import Saver
+from service.sequences import Cursor, SensorKey
 from service.settings import Settings
 from service.source import RemoteQuery, RemoteReply, ScanSource
 from service.tile_store import TileStore
@@ -28,12 +33,20 @@ logger = logging.getLogger(__name__)
 _DRAIN_S = 1.5  # what was received before the end is stored and integrated, if that is quick
 
 
+class _Part(Protocol):
+    def trouble(self) -> str | None: ...
+
+
 @dataclass(slots=True)
 class Ports:
-    """What a service is connected to; the defaults reach nothing outside the process."""
+    """What a service is connected to; the defaults reach nothing outside the process.
+
+    With an archive, which brings its own journal, the map outlives the process.
+    """
 
     source: ScanSource
     journal: Journal = field(default_factory=NoJournal)
+    archive: Archive | None = None
     clock: Clock = field(default_factory=SystemClock)
     acknowledge: Acknowledge = acknowledge_nothing
 
@@ -60,6 +73,8 @@ class MapService:
         self.tiles = TileStore(self._tile_desk, settings.http.tile_cache_bytes_max)
         self.instance = secrets.token_hex(4)  # versions of two runs have nothing in common
         self._ports = ports
+        self._journal = ports.journal if ports.archive is None else ports.archive.journal
+        self._saver: Saver | None = None
         self._pool = ThreadPoolExecutor(settings.training.workers, thread_name_prefix="gpom-train")
         self._mapping = MapKeeper(
             Mapper(settings.map),
@@ -73,7 +88,7 @@ class MapService:
         )
         self._ingest = Ingest(
             settings.ingest,
-            journal=ports.journal,
+            journal=self._journal,
             hand_on=self._mapping.offer,
             fleet=self.fleet,
             events=self.events,
@@ -85,7 +100,13 @@ class MapService:
 
     @property
     def state(self) -> MapState:
-        """The map as it is now; hold on to it to answer consistently."""
+        """The map as it is now; hold on to it to answer consistently.
+
+        Raises:
+            NotReadyError: it is being restored; answers would be those of an older map.
+        """
+        if self._mapping.restoring:
+            raise NotReadyError([self._mapping.trouble() or "the map is being restored"])
         return self._mapping.state
 
     @property
@@ -104,13 +125,15 @@ class MapService:
         return self._ports.source.endpoints()
 
     def start(self) -> None:
-        """Start the threads, then let scans in.
+        """Load what was kept, start the threads, then let scans in.
 
         Raises:
+            JournalError, MapFileError: what was kept cannot be read; it is left as it is.
             SourceError: scans cannot be let in; everything is stopped again.
         """
         # Small factorisations get 10-20 times slower when each tries to use all cores.
         threadpoolctl.threadpool_limits(1)
+        self._resume()
         self._mapping.worker.start()
         self._ingest.worker.start()
         try:
@@ -118,6 +141,33 @@ class MapService:
         except BaseException:
             self.stop()
             raise
+
+    def _resume(self) -> None:
+        archive, journal = self._ports.archive, self._journal
+        if archive is None:
+            journal.open()
+            self._ingest.resume()
+            if not journal.durable:
+                logger.warning(
+                    "no data directory is set: the map is kept in memory and ends with this process"
+                )
+            return
+        archive.open()
+        try:
+            mapper, position = archive.load(self._pool)
+        except BaseException:
+            archive.close()
+            raise
+        self._saver = Saver(
+            archive.save,
+            position,
+            interval_s=self.settings.journal.checkpoint_interval_s,
+            metrics=self.metrics,
+            clock=self._ports.clock,
+        )
+        tail = journal.replay(position, journal.position)
+        self._mapping.resume(mapper, position, tail, self._saver)
+        self._ingest.resume()
 
     def hang_up(self) -> None:
         """End what keeps connections open for long: event streams and heavy queries."""
@@ -134,13 +184,20 @@ class MapService:
         if not (self._ingest.worker.join(_DRAIN_S) and drained):
             logger.warning("some scans that were received are not stored")
         self._mapping.worker.join(_DRAIN_S)
+        if self._saver is not None:
+            self._mapping.save()
+            self._saver.close()
         self._tile_desk.close()
         self._pool.shutdown(wait=False, cancel_futures=True)
-        self._ports.journal.close()
+        self._journal.close()
+        if self._ports.archive is not None:
+            self._ports.archive.close()
 
     def troubles(self) -> list[str]:
         """Why the service is not ready; empty when it is."""
-        parts = (self._ports.source, self._ingest, self._mapping)
+        parts: list[_Part] = [self._ports.source, self._ingest, self._mapping]
+        if self._saver is not None:
+            parts.append(self._saver)
         return [trouble for part in parts if (trouble := part.trouble()) is not None]
 
     def flush(self) -> "Future[None]":
@@ -151,12 +208,23 @@ class MapService:
         """Take a scan; see `service.source.SourceSink`."""
         self._ingest.on_scan(robot, sensor, payload)
 
+    def cursor(self, robot: str, sensor: str) -> Cursor | None:
+        """Give the last stored scan of a sensor; see `service.source.SourceSink`."""
+        return self._ingest.cursor(SensorKey(robot, sensor))
+
     def on_presence(self, robot: str, alive: bool) -> None:
         """Note that a robot came or went."""
         news = self.fleet.set_alive(robot, alive)
         if news is not None:
             logger.info("robot=%s alive=%s", robot, alive)
             self.events.publish(RobotChanged(robot, alive))
+
+    def on_intake(self, robot: str, status: IntakeStatus) -> None:
+        """Note how scans fare that come without a pose."""
+        before = self.fleet.set_intake(robot, status)
+        for reason, count in status.dropped.items():
+            new = count - (0 if before is None else before.dropped.get(reason, 0))
+            self.metrics.scans_refused.labels(reason).inc(max(new, 0))
 
     def on_query(self, query: RemoteQuery) -> None:
         """Answer a question that came by the source, from the pool for heavy queries."""
@@ -187,7 +255,7 @@ class MapService:
         return RemoteReply(problem.encoded(), problem.MEDIA_TYPE, is_error=True)
 
     def _export_metrics(self) -> None:
-        metrics, queue = self.metrics, self._ingest.queue
+        metrics, queue, mapping = self.metrics, self._ingest.queue, self._mapping
         metrics.count("gpom_scans_received", "scans that arrived", lambda: queue.received)
         metrics.count(
             "gpom_scans_dropped", "scans the full queue threw away", lambda: queue.dropped
@@ -195,17 +263,18 @@ class MapService:
         metrics.count(
             "gpom_scans_integrated",
             "scans whose evidence is in the map",
-            lambda: self.state.scans_integrated,
+            lambda: mapping.state.scans_integrated,
         )
         metrics.gauge("gpom_queue_scans", "received, not yet decoded", lambda: len(queue))
+        metrics.gauge("gpom_backlog_scans", "stored, not yet integrated", lambda: mapping.backlog)
+        metrics.gauge("gpom_journal_position", "scans ever stored", lambda: self._journal.position)
+        metrics.gauge("gpom_map_version", "version", lambda: mapping.state.snapshot.version)
+        metrics.gauge("gpom_experts", "experts", lambda: mapping.state.experts)
+        metrics.gauge("gpom_dirty_experts", "to be trained", lambda: len(mapping.state.dirty))
         metrics.gauge(
-            "gpom_backlog_scans", "stored, not yet integrated", lambda: self._mapping.backlog
+            "gpom_quarantined_experts", "set aside", lambda: len(mapping.state.quarantined)
         )
-        metrics.gauge("gpom_map_version", "version", lambda: self.state.snapshot.version)
-        metrics.gauge("gpom_experts", "experts", lambda: self.state.experts)
-        metrics.gauge("gpom_dirty_experts", "to be trained", lambda: len(self.state.dirty))
-        metrics.gauge("gpom_quarantined_experts", "set aside", lambda: len(self.state.quarantined))
-        metrics.gauge("gpom_observations", "of all experts", lambda: self.state.observations)
+        metrics.gauge("gpom_observations", "of all experts", lambda: mapping.state.observations)
         metrics.gauge("gpom_robots", "that were seen", lambda: len(self.fleet.robots()))
         metrics.gauge("gpom_event_clients", "open event streams", lambda: self.events.clients)
         metrics.gauge(

@@ -6,11 +6,15 @@ collects them between two slices of integration.
 
 import logging
 import threading
+import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import islice
 
+from gpom_core import wire
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.mapper import Mapper
@@ -19,8 +23,9 @@ from service.clock import Clock
 from service.errors import StoppingError
 from service.events import EventBus, MapChanged
 from service.ingest import Batch
-from service.journal import ScanRecord
+from service.journal import ScanRecord, StoredScan
 from service.metrics import Metrics
+from service.saver import Saver
 from service.settings import IngestSettings, TrainingSettings
 from service.training import Quarantine, Training
 from service.warmup import warm_up
@@ -28,6 +33,8 @@ from service.worker import Worker
 
 logger = logging.getLogger(__name__)
 
+_TAIL_SCANS = 256
+_UNLIMITED_BEAMS = 2**32 - 1
 _SLICE_S = 0.03  # longest stretch of integration before training gets its turn
 
 
@@ -96,7 +103,6 @@ class MapKeeper:
         metrics: Metrics,
         clock: Clock,
     ) -> None:
-        self._mapper = mapper
         self._config = config
         self._events = events
         self._metrics = metrics
@@ -112,10 +118,13 @@ class MapKeeper:
         self._current: deque[ScanRecord] = deque()
         self._current_ticket = 0
         self._settled_ticket = 0
-        self._integrated = 0
-        self._training = Training(
-            mapper,
-            executor,
+        self._position = 0  # in the journal, of the last scan that was handed over
+        self._tail: Iterator[StoredScan] = iter(())
+        self._restoring = False
+        self._saver: Saver | None = None
+        self._new_training = partial(
+            Training,
+            executor=executor,
             workers=training.workers,
             swap_interval_s=training.swap_interval_s,
             attempts_max=training.attempts_max,
@@ -123,10 +132,36 @@ class MapKeeper:
             clock=clock,
             wake=self._poke,
         )
+        self._adopt(mapper)
         self.worker = Worker(
             "mapping", self._step, lambda name: metrics.loop_errors.labels(name).inc()
         )
-        self.state = MapState(mapper.snapshot())
+
+    def resume(
+        self, mapper: Mapper, position: int, tail: Iterator[StoredScan], saver: "Saver"
+    ) -> None:
+        """Go on from a checkpoint and the scans stored since; to be called before the start.
+
+        Args:
+            mapper: of the checkpoint, which goes up to `position` in the journal.
+            position: see above.
+            tail: scans beyond it. Until they are in the answers the map is being restored.
+            saver: is offered the map after every step.
+        """
+        self._adopt(mapper)
+        self._position, self._tail, self._saver = position, tail, saver
+        self._restoring = True
+
+    def _adopt(self, mapper: Mapper) -> None:
+        self._mapper = mapper
+        self._integrated = mapper.scan_count
+        self._training = self._new_training(mapper)
+        self.state = MapState(mapper.snapshot(), scans_integrated=self._integrated)
+
+    @property
+    def restoring(self) -> bool:
+        """Whether answers would come from a map that is not yet what it was."""
+        return self._restoring
 
     @property
     def backlog(self) -> int:
@@ -137,6 +172,8 @@ class MapKeeper:
         """Why the map is not kept up to date; None when it is."""
         if not self._warm and self.worker.trouble() is None:
             return "the numerical kernels are being compiled"
+        if self._restoring and self.worker.trouble() is None:
+            return f"the map is being restored, {self._integrated} scans are in it"
         return self.worker.trouble()
 
     def offer(self, batch: Batch) -> None:
@@ -194,21 +231,61 @@ class MapKeeper:
             news = MapChanged(swap.snapshot.version, swap.snapshot.changed_bounds)
             self._events.publish(news)
         self._settle({} if swap is None else swap.turns)
+        if self._saver is not None and not self._restoring:
+            self._saver.offer(self._mapper, self._position - len(self._current))
         return True
+
+    def save(self) -> None:
+        """Save the map once its thread has ended."""
+        if self._saver is not None and not self._restoring and not self.worker.is_alive():
+            self._saver.save_now(self._mapper, self._position - len(self._current))
 
     def _wait(self) -> bool:
         """Wait for something to do, and take it; False when it is time to end."""
         with self._changed:
             self._changed.wait_for(
-                lambda: self._stopping or self._poked or bool(self._current or self._batches),
-                timeout=self._training.seconds_to_swap(),
+                lambda: (
+                    self._stopping
+                    or self._poked
+                    or self._restoring
+                    or bool(self._current or self._batches)
+                ),
+                timeout=self._seconds_to_wait(),
             )
             self._poked = False
-            if not self._current and self._batches:
+            if self._stopping:
+                return False
+            if not self._current and not self._restoring and self._batches:
                 batch = self._batches.popleft()
                 self._current.extend(batch.records)
-                self._current_ticket = batch.ticket
-            return not self._stopping
+                self._current_ticket, self._position = batch.ticket, batch.position
+        if not self._current and self._restoring:
+            self._read_tail()
+        return True
+
+    def _seconds_to_wait(self) -> float | None:
+        swap_s = self._training.seconds_to_swap()
+        save_s = None if self._saver is None else self._saver.seconds_to_save()
+        return min((s for s in (swap_s, save_s) if s is not None), default=None)
+
+    def _read_tail(self) -> None:
+        """Take some scans from the journal; at its end the map is restored when it is trained."""
+        for stored in islice(self._tail, _TAIL_SCANS):
+            self._position = stored.position
+            # It was valid when it was stored, and limits may have been lowered since.
+            scan = wire.decode(stored.payload, max_beams=_UNLIMITED_BEAMS)
+            self._current.append(
+                ScanRecord(
+                    stored.robot, stored.sensor, stored.payload, stored.received_unix_s, scan
+                )
+            )
+        if self._current:
+            self._backlog += len(self._current)
+        elif self._training.idle:
+            logger.info("the map is restored: scans=%d", self._integrated)
+            self._restoring = False
+        else:
+            time.sleep(_SLICE_S)
 
     def _poke(self) -> None:
         with self._changed:

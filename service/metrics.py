@@ -23,6 +23,12 @@ class Metrics:
         self.observations_new = self._counter(
             "gpom_observations_new", "observations that scans added to the map"
         )
+        self.journal_failures = self._counter(
+            "gpom_journal_failures", "commits that failed; nothing of them was acknowledged"
+        )
+        self.checkpoint_failures = self._counter(
+            "gpom_checkpoint_failures", "checkpoints of the map that could not be saved"
+        )
         self.training_failures = self._counter(
             "gpom_training_failures", "training jobs that raised"
         )
@@ -40,6 +46,9 @@ class Metrics:
         )
         self.commit_seconds = self._seconds(
             "gpom_journal_commit_seconds", "time to store one batch of scans"
+        )
+        self.checkpoint_seconds = self._seconds(
+            "gpom_checkpoint_seconds", "time to save one checkpoint of the map"
         )
         self.update_seconds = self._seconds(
             "gpom_scan_integration_seconds", "time to integrate one scan"

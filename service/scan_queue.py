@@ -41,6 +41,11 @@ class ScanQueue:
         """Scans that the policy threw away."""
         return self._dropped
 
+    @property
+    def closed(self) -> bool:
+        """Whether it takes no more scans."""
+        return self._closed
+
     def __len__(self) -> int:
         """Scans that wait."""
         return len(self._items)
@@ -69,14 +74,15 @@ class ScanQueue:
             self._changed.notify_all()
             return True
 
-    def take(self, limit: int) -> tuple[list[Envelope], int]:
+    def take(self, limit: int, timeout_s: float | None = None) -> tuple[list[Envelope], int]:
         """Wait for scans and remove up to `limit` of them.
 
         Returns:
-            The scans, and the ticket of the last one. No scans: it is closed and empty.
+            The scans, and the ticket of the last one. No scans: it is closed and empty, or they
+            did not come within `timeout_s`.
         """
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or self._items)
+            self._changed.wait_for(lambda: self._closed or self._items, timeout_s)
             taken = [self._items.popleft() for _ in range(min(limit, len(self._items)))]
             self._bytes -= sum(len(envelope.payload) for envelope in taken)
             self._changed.notify_all()

@@ -12,6 +12,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, f
 from pydantic_settings import NoDecode
 
 from gpom_core.config import MapConfig
+from service.ros_settings import RosSettings
 
 QueuePolicy = Literal["block", "drop_oldest", "drop_newest"]
 
@@ -55,7 +56,7 @@ class HttpSettings(_Section):
     retry_after_s: int = Field(1, ge=1, description="what a 503 tells the client to wait")
     flush_timeout_max_s: float = Field(600.0, gt=0.0, description="longest wait of one flush")
     event_clients_max: int = Field(64, ge=1, description="open event streams; then 503")
-    event_keepalive_s: float = Field(15.0, gt=0.0, description="a silent stream says so this often")
+    event_keepalive_s: float = Field(2.0, gt=0.0, description="a silent stream says so this often")
 
 
 class ZenohSettings(_Section):
@@ -134,6 +135,7 @@ class Settings(_Section):
     log_level: Literal["debug", "info", "warning", "error"] = Field("info")
     http: HttpSettings = HttpSettings()
     zenoh: ZenohSettings = ZenohSettings()
+    ros: RosSettings = RosSettings()
     ingest: IngestSettings = IngestSettings()
     journal: JournalSettings = JournalSettings()
     training: TrainingSettings = TrainingSettings()

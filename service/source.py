@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from service.errors import SourceError
+from service.fleet import IntakeStatus
+from service.sequences import Cursor
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,13 @@ class SourceSink(Protocol):
 
     def on_query(self, query: RemoteQuery) -> None:
         """Somebody asks; the reply comes later."""
+
+    def on_intake(self, robot: str, status: IntakeStatus) -> None:
+        """Scans that come without a pose fare so, before they arrive as scans."""
+
+    def cursor(self, robot: str, sensor: str) -> Cursor | None:
+        """Give the last stored scan of a sensor; None if there is none."""
+        ...
 
 
 class ScanSource(Protocol):

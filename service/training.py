@@ -93,6 +93,11 @@ class Training:
         """The number of the last step: jobs taken later have a larger one."""
         return self._turn
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is being trained or waits to be swapped in."""
+        return not (self._in_pool or self._trained)
+
     def quarantined(self) -> tuple[Quarantine, ...]:
         """The experts that are set aside."""
         return tuple(self._quarantined.values())

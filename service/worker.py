@@ -32,6 +32,10 @@ class Worker:
             self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
+    def is_alive(self) -> bool:
+        """Whether its thread runs."""
+        return self._thread.is_alive()
+
     def trouble(self) -> str | None:
         """Why no steps are made; None while they are."""
         return None if self._thread.is_alive() else f"the {self.name} thread is not running"

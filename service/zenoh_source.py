@@ -6,13 +6,15 @@ the sample silently: so `close` is always called, and every callback catches eve
 
 import json
 import logging
-from collections.abc import Callable
-from typing import Any, TypeVar
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol, TypeVar
 
 import zenoh
 
 from service.errors import SourceError
 from service.problems import problem_of
+from service.sequences import Cursor, SensorKey
 from service.settings import ZenohSettings
 from service.source import RemoteQuery, RemoteReply, SourceSink
 
@@ -20,14 +22,28 @@ logger = logging.getLogger(__name__)
 
 SERVICE_CHUNK = "_map"  # stands where robots have their name, and is no robot
 
+_CURSOR = struct.Struct("<QQ")  # boot, seq
+_WILD = frozenset("*$")
+
 _T = TypeVar("_T")
+
+
+class Guest(Protocol):
+    """Something else that uses the session of the service."""
+
+    def attach(self, session: zenoh.Session, sink: SourceSink) -> None:
+        """Declare what it needs; may raise ZError."""
+
+    def detach(self) -> None:
+        """Let go of all of it; may be called twice."""
 
 
 class ZenohSource:
     """The session of the service: a peer that listens, connects to routers, or both."""
 
-    def __init__(self, settings: ZenohSettings) -> None:
+    def __init__(self, settings: ZenohSettings, guests: Sequence[Guest] = ()) -> None:
         self._settings = settings
+        self._guests = guests
         self._session: zenoh.Session | None = None
         self._held: list[Any] = []  # subscribers end when they are collected
         self._endpoints: tuple[str, ...] = ()
@@ -47,10 +63,16 @@ class ZenohSource:
                     f"{prefix}/*/alive", _caught(self._on_alive(sink)), history=True
                 ),
                 session.declare_queryable(
+                    f"{prefix}/*/cursor/*", _caught(self._on_cursor(sink)), complete=True
+                ),
+                session.declare_queryable(
                     f"{prefix}/{SERVICE_CHUNK}/query", _caught(self._on_query(sink)), complete=True
                 ),
-                session.liveliness().declare_token(f"{prefix}/{SERVICE_CHUNK}/alive"),
             ]
+            for guest in self._guests:
+                guest.attach(session, sink)
+            token = f"{prefix}/{SERVICE_CHUNK}/alive"
+            self._held.append(session.liveliness().declare_token(token))
             self._endpoints = _locators(session) if self._settings.listen else ()
         except zenoh.ZError as error:
             self.close()
@@ -63,6 +85,8 @@ class ZenohSource:
 
     def close(self) -> None:
         """Close the session; robots see the token of the service go."""
+        for guest in self._guests:
+            guest.detach()
         session, self._session = self._session, None
         self._held = []
         if session is not None:
@@ -80,6 +104,36 @@ class ZenohSource:
     def endpoints(self) -> tuple[str, ...]:
         """Where it really listens, with the port that was picked for port 0."""
         return self._endpoints
+
+    def acknowledge(self, cursors: Mapping[SensorKey, Cursor]) -> None:
+        """Tell robots up to which scan they are stored.
+
+        An acknowledgement that is lost on the way is made good by the next, or by the cursor that
+        robots ask for after a silence: so none waits for a robot that does not listen.
+        """
+        session = self._session
+        if session is None:
+            return
+        for key, cursor in cursors.items():
+            try:
+                session.put(
+                    f"{self._settings.prefix}/{key.robot}/ack/{key.sensor}",
+                    _CURSOR.pack(*cursor),
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.INTERACTIVE_HIGH,
+                )
+            except zenoh.ZError as error:
+                logger.debug("robot=%s is not told of scan %d: %s", key.robot, cursor.seq, error)
+
+    def _on_cursor(self, sink: SourceSink) -> Callable[[zenoh.Query], None]:
+        def on_cursor(query: zenoh.Query) -> None:
+            with query:
+                robot, _, sensor = self._chunks(query.key_expr)
+                if _WILD.isdisjoint(robot + sensor):  # one stream at a time
+                    cursor = sink.cursor(robot, sensor)
+                    query.reply(query.key_expr, b"" if cursor is None else _CURSOR.pack(*cursor))
+
+        return on_cursor
 
     def _on_scan(self, sink: SourceSink) -> Callable[[zenoh.Sample], None]:
         def on_scan(sample: zenoh.Sample) -> None:

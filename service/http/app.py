@@ -9,9 +9,13 @@ from typing import Any
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 
+from service.archive import Archive
+from service.clock import SystemClock
 from service.http import errors, grids, pages, queries, statuses, streams, tiles
 from service.http.observe import Observe
 from service.map_service import MapService, Ports
+from service.ros.gateway import RosGateway
+from service.ros.map_out import MapPublisher
 from service.settings import Settings
 from service.zenoh_source import ZenohSource
 
@@ -21,9 +25,11 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
 
     Args:
         settings: of everything.
-        ports: what to connect to; without it zenoh as in the settings, and no journal.
+        ports: what to connect to; without it zenoh and the data directory as in the settings.
     """
-    service = MapService(settings, ports or Ports(ZenohSource(settings.zenoh)))
+    publisher = MapPublisher(settings.ros)
+    service = MapService(settings, ports or _ports(settings, publisher))
+    publisher.follow(lambda: service.state.snapshot, service.events)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -51,6 +57,21 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     app.state.routes = [route for router in routers for route in router.routes]
     _describe_problems(app)
     return app
+
+
+def _ports(settings: Settings, publisher: MapPublisher) -> Ports:
+    clock = SystemClock()
+    ingest = settings.ingest
+    gateway = RosGateway(
+        settings.ros, beams_max=ingest.beams_max, robots_max=ingest.robots_max, clock=clock
+    )
+    source = ZenohSource(settings.zenoh, (gateway, publisher))
+    archive = (
+        None
+        if settings.data_dir is None
+        else Archive(settings.data_dir, settings.journal, settings.map, clock)
+    )
+    return Ports(source, archive=archive, clock=clock, acknowledge=source.acknowledge)
 
 
 def _describe_problems(app: FastAPI) -> None:

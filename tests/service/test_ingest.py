@@ -18,6 +18,7 @@ class Rig:
 
     def __init__(self, **settings) -> None:
         self.happened: list[tuple[str, object]] = []
+        self.position = 0
         self.journal = MemoryJournal()
         self.store = self.journal.append
         self.fleet = Fleet(robots_max=2)

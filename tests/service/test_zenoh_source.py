@@ -1,4 +1,5 @@
 import json
+import struct
 import threading
 import time
 
@@ -7,6 +8,7 @@ import zenoh
 
 from service.errors import SourceError
 from service.points import JSON
+from service.sequences import Cursor, SensorKey
 from service.settings import ZenohSettings
 from service.source import RemoteReply
 from service.zenoh_source import ZenohSource
@@ -28,6 +30,9 @@ class Sink:
         if payload == b"bomb":
             raise ZeroDivisionError
         self.scans.append((robot, sensor, payload))
+
+    def cursor(self, robot, sensor):
+        return Cursor(2**63 + 7, 2**64 - 1) if sensor == "front" else None
 
     def on_presence(self, robot, alive) -> None:
         self.presence.append((robot, alive))
@@ -115,6 +120,22 @@ def test_queries_are_answered_refused_and_never_hang(robot, sink) -> None:
     assert time.monotonic() - start_s < 9.0, "none waited for its timeout"
     assert [query.fusion for query in sink.queries] == ["rbcm", None, None]
     assert sink.queries[0].media_type == JSON
+
+
+def test_robots_are_told_what_is_stored_and_may_ask(source, robot) -> None:
+    acks = robot.declare_subscriber(f"{PREFIX}/r2/ack/*")
+    list(robot.get(f"{PREFIX}/r2/cursor/front"))  # the subscription is known by now
+    source.acknowledge({SensorKey("r2", "front"): Cursor(7, 8), SensorKey("r3", "x"): Cursor(1, 1)})
+    sample = acks.recv()
+    assert str(sample.key_expr) == f"{PREFIX}/r2/ack/front"
+    assert sample.payload.to_bytes() == (7).to_bytes(8, "little") + (8).to_bytes(8, "little")
+    replies = {
+        sensor: [r.ok.payload.to_bytes() for r in robot.get(f"{PREFIX}/r2/cursor/{sensor}")]
+        for sensor in ("front", "rear", "*")
+    }
+    assert replies["front"] == [struct.pack("<QQ", 2**63 + 7, 2**64 - 1)]
+    assert replies["rear"] == [b""], "not known is an answer, and not silence"
+    assert replies["*"] == []
 
 
 def test_a_taken_port_is_told(source) -> None:

@@ -1,0 +1,157 @@
+"""The data directory: the journal, and checkpoints of the map, used by one process at a time.
+
+A restart loads the newest checkpoint and integrates the scans that the journal holds beyond it.
+What is damaged or does not belong together is refused, with what to do; nothing is ever emptied.
+"""
+
+import fcntl
+import logging
+import os
+from collections.abc import Mapping
+from concurrent.futures import Executor
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.config import MapConfig
+from gpom_core.errors import GpomError
+from gpom_core.image import load
+from gpom_core.mapper import Mapper
+from service.clock import Clock
+from service.errors import JournalError, MapFileError
+from service.map_file import SavedMap, read_map, write_map
+from service.settings import JournalSettings
+from service.sqlite_journal import SqliteJournal
+
+logger = logging.getLogger(__name__)
+
+_PATTERN = "checkpoint-*.gpom"
+
+
+class Archive:
+    """What outlives the process.
+
+    Args:
+        directory: made if it does not exist.
+        settings: of the journal and the checkpoints.
+        config: of the map; checkpoints of another one are refused.
+        clock: tells when a checkpoint was saved.
+    """
+
+    def __init__(
+        self, directory: Path, settings: JournalSettings, config: MapConfig, clock: Clock
+    ) -> None:
+        self.directory = directory
+        self.journal = SqliteJournal(directory / "journal.sqlite", settings)
+        self._settings = settings
+        self._config = config
+        self._clock = clock
+        self._lock: int | None = None
+
+    def open(self) -> None:
+        """Lock the directory and open the journal.
+
+        Raises:
+            JournalError: another process uses it, or the journal cannot be used.
+        """
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            self._lock = os.open(self.directory / "lock", os.O_RDWR | os.O_CREAT, 0o644)
+        except OSError as error:
+            message = f"cannot use the data directory {self.directory}: {error.strerror or error}"
+            raise JournalError(message) from error
+        try:
+            fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self.close()
+            message = (
+                f"the data directory {self.directory} is in use by another gpom; stop it first"
+            )
+            raise JournalError(message) from error
+        try:
+            if not self.journal.path.exists() and self.checkpoints():
+                message = (
+                    f"{self.directory} has checkpoints but no journal.sqlite. Put the journal "
+                    "back, or import the newest checkpoint into an empty directory with "
+                    "`gpom map import`"
+                )
+                raise JournalError(message)
+            self.journal.open()
+        except JournalError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Close the journal and unlock the directory. May be called twice."""
+        self.journal.close()
+        lock, self._lock = self._lock, None
+        if lock is not None:
+            os.close(lock)
+
+    def checkpoints(self) -> list[Path]:
+        """All checkpoints, the newest last."""
+        return sorted(self.directory.glob(_PATTERN))
+
+    def load(self, executor: Executor | None = None) -> tuple[Mapper, int]:
+        """Load the newest checkpoint.
+
+        Returns:
+            The map, and the position in the journal up to which it goes.
+
+        Raises:
+            MapFileError: the checkpoint is damaged, or of other settings or another journal.
+        """
+        found = self.checkpoints()
+        if not found:
+            return Mapper(self._config), 0
+        path = found[-1]
+        try:
+            saved = read_map(path, self._settings.map_bytes_max)
+            self._check(saved, path)
+            mapper = load(saved.image, saved.config, executor)
+        except GpomError as error:
+            message = f"{error}. {self._advice(path)}"
+            raise MapFileError(message) from error
+        logger.info("loaded checkpoint=%s scans=%d", path.name, mapper.scan_count)
+        return mapper, saved.position
+
+    def save(self, image: Mapping[str, NDArray[np.generic]], position: int) -> None:
+        """Save a checkpoint and delete the oldest ones; then let go of scans in all that are kept.
+
+        Raises:
+            MapFileError: it cannot be written.
+        """
+        saved = SavedMap(image, self._config, self.journal.identity, position, self._clock.unix_s())
+        write_map(self.directory / f"checkpoint-{position:020d}.gpom", saved, compress=False)
+        found = self.checkpoints()
+        for path in found[: -self._settings.checkpoints_kept]:
+            path.unlink(missing_ok=True)
+        kept = found[-self._settings.checkpoints_kept :]
+        self.journal.release(int(kept[0].stem.rpartition("-")[2]))
+
+    def _check(self, saved: SavedMap, path: Path) -> None:
+        if saved.journal != self.journal.identity:
+            raise MapFileError(f"{path} belongs to another journal than the one beside it")
+        if saved.position > self.journal.position:
+            message = (
+                f"{path} goes up to scan {saved.position}, but the journal ends at "
+                f"{self.journal.position}: it is an older copy"
+            )
+            raise MapFileError(message)
+        if saved.config != self._config:
+            ours, theirs = self._config.model_dump(), saved.config.model_dump()
+            changed = [name for name in ours if ours[name] != theirs[name]]
+            raise MapFileError(f"the settings map.{', map.'.join(changed)} differ from {path}'s")
+
+    def _advice(self, path: Path) -> str:
+        others = len(self.checkpoints()) - 1
+        instead = (
+            f"to go on from the checkpoint before it ({others} left)"
+            if others
+            else "to integrate all scans of the journal anew"
+        )
+        return (
+            "Nothing was changed. Put back what belongs there, set the settings back, or move "
+            f"{path.name} away {instead}"
+        )

@@ -1,0 +1,210 @@
+"""The map outlives the process: what was acknowledged is in it again, and answers are the same."""
+
+import json
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpom_core.config import MapConfig
+from service.archive import Archive
+from service.clock import SystemClock
+from service.errors import JournalError, MapFileError, NotReadyError
+from service.map_service import MapService, Ports
+from service.sequences import Cursor
+from service.settings import JournalSettings, Settings
+from service.source import MemorySource
+from tests.service.rooms import payload_at
+
+GRID = ((-4.0, -4.0, 4.0, 4.0), 0.2)
+
+
+class House:
+    """A service with a data directory that can be started again and again."""
+
+    def __init__(self, directory: Path, until: Callable[..., None]) -> None:
+        self.directory = directory
+        self.until = until
+        self.settings = Settings(
+            data_dir=directory, journal=JournalSettings(checkpoint_interval_s=3600.0)
+        )
+        self.acks: dict = {}
+
+    def start(self, **map_settings) -> MapService:
+        settings = self.settings
+        config = MapConfig(**map_settings)
+        self.source = MemorySource()
+        archive = Archive(self.directory, settings.journal, config, SystemClock())
+        ports = Ports(self.source, archive=archive, acknowledge=self.acks.update)
+        self.service = MapService(settings.model_copy(update={"map": config}), ports)
+        self.service.start()
+        self.until(lambda: not self.service.troubles())
+        return self.service
+
+    def drive(self, first: int, last: int, **fields) -> None:
+        for i in range(first, last + 1):
+            place = 1.5 * np.cos(i / 3), 1.5 * np.sin(i / 3)
+            self.source.put("robot", "front", payload_at(*place, seq=i, reliable=True, **fields))
+        self.service.flush().result(60.0)
+
+    def crash(self) -> None:
+        """What SIGKILL leaves: no checkpoint at the end, and the lock is gone."""
+        kept = self.directory.with_name("kept")
+        shutil.copytree(self.directory, kept)
+        self.service.stop()
+        shutil.rmtree(self.directory)
+        kept.rename(self.directory)
+
+
+@pytest.fixture
+def house(tmp_path, eventually):
+    house = House(tmp_path / "data", eventually)
+    house.start()
+    yield house
+    house.service.stop()
+
+
+def occupancy(service: MapService):
+    return service.state.snapshot.grid(*GRID).occupancy
+
+
+def test_after_a_stop_the_map_is_exactly_what_it_was(house) -> None:
+    house.drive(1, 20)
+    before, version = occupancy(house.service), house.service.state.snapshot.version
+    house.service.stop()
+    assert len(list(house.directory.glob("checkpoint-*"))) == 1
+    service = house.start()
+    np.testing.assert_allclose(occupancy(service), before, rtol=0, atol=1e-9)
+    assert service.state.snapshot.version == version
+    assert service.state.scans_integrated == 20
+    assert service.cursor("robot", "front") == Cursor(1, 20)
+    assert service.cursor("robot", "rear") is None
+
+
+def test_after_a_crash_the_journal_is_integrated_again(house) -> None:
+    house.drive(1, 20)
+    before = occupancy(house.service)
+    house.crash()
+    service = house.start()
+    assert service.state.scans_integrated == 20
+    np.testing.assert_allclose(occupancy(service), before, atol=0.05)
+
+
+def test_checkpoint_and_tail_make_the_map(house) -> None:
+    house.drive(1, 12)
+    house.service.stop()
+    house.start()
+    house.drive(13, 20)
+    before = occupancy(house.service)
+    house.crash()
+    service = house.start()
+    assert service.state.scans_integrated == 20
+    np.testing.assert_allclose(occupancy(service), before, atol=0.05)
+    house.drive(20, 25)
+    assert service.state.scans_integrated == 25, "scan 20 was known, 21 to 25 were new"
+    assert house.acks == {("robot", "front"): Cursor(1, 25)}
+
+
+def test_the_map_is_saved_while_it_runs(house) -> None:
+    house.service.stop()
+    house.settings = house.settings.model_copy(
+        update={"journal": JournalSettings(checkpoint_interval_s=0.05, checkpoints_kept=2)}
+    )
+    house.start()
+    for i in range(1, 6):
+        house.drive(i, i)
+        house.until(
+            lambda i=i: (house.directory / f"checkpoint-{i:020d}.gpom").exists(), timeout_s=10.0
+        )
+    house.until(lambda: len(list(house.directory.glob("checkpoint-*"))) == 2)
+    house.crash()
+    assert house.start().state.scans_integrated == 5
+
+
+def test_reliable_scans_come_in_order_once(house) -> None:
+    def put(seq: int, boot: int = 1) -> None:
+        house.source.put("robot", "front", payload_at(seq=seq, boot=boot, reliable=True))
+
+    for seq in (2, 1, 1, 3, 2):
+        put(seq)
+    put(2, boot=5)
+    put(1, boot=5)
+    put(3)
+    house.service.flush().result(60.0)
+    assert house.service.state.scans_integrated == 3
+    assert house.acks == {("robot", "front"): Cursor(5, 1)}
+    exposition = house.service.metrics.exposition().decode()
+    for reason, count in (("out_of_order", 2), ("stale", 1), ("old_run", 1)):
+        # Scan 2 came early, then late, once each; 3 came early.
+        assert f'gpom_scans_refused_total{{reason="{reason}"}}' in exposition, (reason, count)
+
+
+def test_one_directory_has_one_owner(house) -> None:
+    other = Archive(house.directory, JournalSettings(), MapConfig(), SystemClock())
+    with pytest.raises(JournalError, match="in use by another gpom"):
+        other.open()
+
+
+def test_nothing_is_answered_while_the_map_is_restored(house, monkeypatch) -> None:
+    house.drive(1, 10)
+    house.crash()
+    monkeypatch.setattr("service.mapping.MapKeeper._read_tail", lambda self: time.sleep(0.01))
+    source = MemorySource()
+    archive = Archive(house.directory, JournalSettings(), MapConfig(), SystemClock())
+    service = MapService(house.settings, Ports(source, archive=archive))
+    service.start()
+    try:
+        house.until(lambda: any("being restored" in trouble for trouble in service.troubles()))
+        with pytest.raises(NotReadyError, match="being restored"):
+            _ = service.state
+        reply = source.ask(b'{"points": [[0, 0]]}', "application/json").result(10.0)
+        assert json.loads(reply.body)["status"] == 503
+        assert b"gpom_backlog_scans" in service.metrics.exposition()
+    finally:
+        service.stop()
+
+
+def refused(house, message: str, **map_settings) -> None:
+    before = {path.name: path.read_bytes() for path in house.directory.iterdir()}
+    with pytest.raises((MapFileError, JournalError), match=message):
+        house.start(**map_settings)
+    for name, content in before.items():
+        if not name.endswith(("-wal", "-shm")):
+            assert (house.directory / name).read_bytes() == content, f"{name} was touched"
+
+
+def test_damaged_checkpoints_are_refused_with_what_to_do(house) -> None:
+    house.drive(1, 3)
+    house.service.stop()
+    (checkpoint,) = house.directory.glob("checkpoint-*")
+    content = bytearray(checkpoint.read_bytes())
+    content[len(content) // 2] ^= 1
+    checkpoint.write_bytes(content)
+    refused(house, r"damaged.*Nothing was changed.*move checkpoint-.* away")
+    checkpoint.rename(house.directory / "damaged")
+    assert house.start().state.scans_integrated == 3, "the advice works"
+
+
+def test_other_settings_of_the_map_are_refused_with_what_to_do(house) -> None:
+    house.drive(1, 3)
+    house.service.stop()
+    refused(house, r"settings map.cell_m differ.*move checkpoint-.* away", cell_m=0.2)
+
+
+def test_what_does_not_belong_together_is_refused(house, tmp_path) -> None:
+    house.drive(1, 3)
+    house.service.stop()
+    journal = house.directory / "journal.sqlite"
+    shutil.copy(journal, tmp_path / "old")
+    journal.unlink()
+    refused(house, "checkpoints but no journal")
+    house_two = House(tmp_path / "two", house.until)
+    house_two.start()
+    house_two.service.stop()
+    shutil.copy(house_two.directory / "journal.sqlite", journal)
+    refused(house, "belongs to another journal")
+    shutil.copy(tmp_path / "old", journal)
+    house.start()

@@ -1,0 +1,203 @@
+"""What is appended is there after a crash, once, as it came; damage is told and left alone."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gpom_core import wire
+from service.errors import JournalError
+from service.journal import ScanRecord
+from service.sequences import Cursor, SensorKey
+from service.settings import JournalSettings
+from service.sqlite_journal import SqliteJournal
+from tests.service.rooms import payload_at
+
+
+def record(seq: int = 1, *, robot: str = "r", boot: int = 1, **fields) -> ScanRecord:
+    payload = payload_at(seq=seq, boot=boot, **fields)
+    return ScanRecord(robot, "front", payload, 1000.5, wire.decode(payload))
+
+
+@pytest.fixture
+def path(tmp_path) -> Path:
+    return tmp_path / "data" / "journal.sqlite"
+
+
+def opened(path: Path, **settings) -> SqliteJournal:
+    journal = SqliteJournal(path, JournalSettings(**settings))
+    journal.open()
+    return journal
+
+
+def test_scans_come_back_as_they_were_after_reopening(path) -> None:
+    journal = opened(path)
+    journal.append([record(1), record(2), record(0)])
+    journal.append([record(1, robot="other", boot=2**64 - 1)])
+    journal.close()
+    journal = opened(path)
+    assert journal.position == 4
+    assert journal.cursors() == {
+        SensorKey("r", "front"): Cursor(1, 2),
+        SensorKey("other", "front"): Cursor(2**64 - 1, 1),
+    }
+    stored = list(journal.replay(1, 4))
+    assert [scan.position for scan in stored] == [2, 3, 4]
+    assert stored[0].payload == record(2).payload
+    assert (stored[2].robot, stored[2].sensor, stored[2].received_unix_s) == (
+        "other",
+        "front",
+        1000.5,
+    )
+    journal.append([record(3)])
+    assert journal.position == 5
+    journal.close()
+    journal.close()
+
+
+def test_a_batch_is_stored_whole_or_not_at_all(path) -> None:
+    journal = opened(path)
+    journal.append([record(1)])
+    with pytest.raises(JournalError, match="UNIQUE"):
+        journal.append([record(2), record(1)])
+    assert journal.position == 1
+    assert journal.cursors() == {SensorKey("r", "front"): Cursor(1, 1)}
+    journal.append([record(2)])  # it recovers by itself
+    assert [scan.position for scan in journal.replay(0, 2)] == [1, 2]
+    journal.close()
+
+
+def test_it_is_as_durable_as_sqlite_can_be(path) -> None:
+    journal = opened(path)
+    db = journal._open()
+    assert db.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    assert db.execute("PRAGMA synchronous").fetchone() == (2,)
+    journal.close()
+
+
+def test_the_oldest_scans_in_a_checkpoint_make_room(path) -> None:
+    journal = opened(path, size_bytes_max=2**20)
+    batch, seq = 50, 0
+    released = 0
+    while released < 3000:
+        records = [record(seq + i + 1) for i in range(batch)]
+        journal.append(records)
+        seq += batch
+        released = seq
+        journal.release(released)
+    assert journal.bytes_used() <= 2**20 + 2 * batch * 1024
+    assert path.stat().st_size < 2 * 2**20
+    with pytest.raises(JournalError, match="position 1 any more"):
+        list(journal.replay(0, seq))
+    assert len(list(journal.replay(seq - 100, seq))) == 100
+    journal.close()
+    assert opened(path).position == seq
+
+
+@pytest.mark.parametrize("retention", ["keep", "drop_oldest"])
+def test_at_the_limit_nothing_is_deleted_that_is_needed(path, retention) -> None:
+    journal = opened(path, size_bytes_max=2**20, retention=retention)
+    stored = 0
+    if retention == "keep":
+        journal.release(10**6)
+
+    def fill() -> None:
+        nonlocal stored
+        for seq in range(1, 5000, 50):
+            journal.append([record(seq + i) for i in range(50)])
+            stored += 50
+
+    with pytest.raises(JournalError, match="reached its limit"):
+        fill()
+    assert len(list(journal.replay(0, stored))) == stored
+    journal.close()
+
+
+def damage(path: Path, kind: str) -> None:
+    content = bytearray(path.read_bytes())
+    match kind:
+        case "empty":
+            content = bytearray()
+        case "cut":
+            content = content[: len(content) // 2]
+        case "header":
+            content[:16] = b"x" * 16
+        case "middle":
+            content[8192 * 3 : 8192 * 9] = os.urandom(8192 * 6)
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("kind", ["empty", "cut", "header", "middle"])
+def test_damage_is_told_with_what_to_do_and_left_as_it_is(path, kind) -> None:
+    journal = opened(path)
+    for seq in range(1, 200):
+        journal.append([record(seq)])
+    journal.close()
+    damage(path, kind)
+    before = path.read_bytes()
+    with pytest.raises(JournalError, match=r"is damaged.*nothing was changed.*backup"):
+        opened(path)
+    assert path.read_bytes() == before
+
+
+def test_other_files_and_formats_are_refused(path) -> None:
+    path.parent.mkdir()
+    db = sqlite3.connect(path)
+    db.execute("CREATE TABLE mine (x)")
+    db.commit()
+    db.close()
+    with pytest.raises(JournalError, match="no journal of gpom"):
+        opened(path)
+    path.unlink()
+    opened(path).close()
+    db = sqlite3.connect(path)
+    db.execute("PRAGMA user_version = 9")
+    db.close()
+    with pytest.raises(JournalError, match="format 9"):
+        opened(path)
+
+
+def test_a_file_that_goes_away_is_not_made_anew(path) -> None:
+    journal = opened(path)
+    journal.close()
+    path.unlink()
+    with pytest.raises(JournalError, match="cannot be written"):
+        journal.append([record(1)])
+    assert not path.exists()
+
+
+_WRITER = """
+import sys
+from pathlib import Path
+from tests.service.test_sqlite_journal import opened, record
+journal = opened(Path(sys.argv[1]))
+seq = journal.position
+while True:
+    journal.append([record(seq + 1), record(seq + 2)])
+    seq += 2
+    print(seq, flush=True)
+"""
+
+
+def test_what_was_appended_survives_sigkill(path) -> None:
+    for _ in range(3):
+        with subprocess.Popen(
+            [sys.executable, "-c", _WRITER, str(path)],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=Path(__file__).parents[2],
+        ) as writer:
+            told = 0
+            for _ in range(20):
+                told = int(writer.stdout.readline())
+            writer.send_signal(signal.SIGKILL)
+            told = max([told, *(int(line) for line in writer.stdout)])
+        journal = opened(path)
+        assert journal.position >= told
+        assert journal.position % 2 == 0, "a batch is there whole or not at all"
+        assert len(list(journal.replay(0, journal.position))) == journal.position
+        journal.close()
