@@ -146,7 +146,7 @@ def _shifted(scan: Scan, angles_rad: Floats, drive_m: Floats) -> Floats:
     moved_m = np.where(hits, np.hypot(x_m, y_m), ranges_m)
     aside_rad = (np.arctan2(y_m, x_m) - angles_rad + pi) % (2.0 * pi) - pi
     step_rad = angles_rad[1] - angles_rad[0]
-    place: Floats = np.arange(ranges_m.size) + np.where(hits, aside_rad / step_rad, 0.0)
+    place = np.arange(ranges_m.size, dtype=np.float64) + np.where(hits, aside_rad / step_rad, 0.0)
     return _read_at_whole_places(place, moved_m, hits)
 
 

@@ -6,7 +6,7 @@ the map (the newest version, all that changed since it last looked) and one abou
 
 import asyncio
 import threading
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -116,6 +116,7 @@ class EventBus:
     def __init__(self, clients_max: int) -> None:
         self._clients_max = clients_max
         self._subscriptions: set[Subscription] = set()
+        self._listeners: list[Callable[[Event], None]] = []
         self._lock = threading.Lock()
         self._closed = False
 
@@ -127,9 +128,16 @@ class EventBus:
     def publish(self, event: Event) -> None:
         """Hand out news; returns at once."""
         with self._lock:
-            watchers = tuple(self._subscriptions)
+            watchers, listeners = tuple(self._subscriptions), tuple(self._listeners)
         for subscription in watchers:
             subscription.put(event)
+        for hear in listeners:
+            hear(event)
+
+    def listen(self, hear: Callable[[Event], None]) -> None:
+        """Call a function with all news from now on; it must return at once and not raise."""
+        with self._lock:
+            self._listeners.append(hear)
 
     def subscribe(self) -> Subscription:
         """Open a mailbox for the running event loop; leave it as a context manager.

@@ -1,9 +1,33 @@
 """The robots that were seen: what arrived from each, where it is, whether it is there."""
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from gpom_core.scan import Pose2D
+
+
+@dataclass(frozen=True, slots=True)
+class IntakeStatus:
+    """How scans fare that come without a pose, before they are scans of the map.
+
+    Attributes:
+        received: messages.
+        waiting: for their transforms.
+        delayed: waited for a transform, and got it.
+        uncorrected: motion within the sweep is left in.
+        dropped: by reason.
+        age_s: of the last one by its own stamp when it came; far from 0, its clock is off.
+        problem: what is wrong now, and since when; None while all is well.
+    """
+
+    received: int = 0
+    waiting: int = 0
+    delayed: int = 0
+    uncorrected: int = 0
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    age_s: float | None = None
+    problem: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +41,7 @@ class RobotStatus:
         last_seen_unix_s: when its last scan came; None before the first.
         pose: of the sensor that sent the last scan, in the map frame; None before the first.
         alive: whether its liveliness token is up.
+        intake: of a robot whose scans come without a pose; None of others.
     """
 
     id: str
@@ -25,6 +50,7 @@ class RobotStatus:
     last_seen_unix_s: float | None = None
     pose: Pose2D | None = None
     alive: bool = False
+    intake: IntakeStatus | None = None
 
 
 @dataclass(slots=True)
@@ -78,6 +104,19 @@ class Fleet:
             now = replace(before or RobotStatus(robot), alive=alive)
             self._robots[robot] = now
             return now
+
+    def set_intake(self, robot: str, intake: IntakeStatus) -> IntakeStatus | None:
+        """Note how scans without a pose fare.
+
+        Returns:
+            What was known before; None when that is nothing, or the robot has no room.
+        """
+        with self._lock:
+            before = self._robots.get(robot)
+            if before is None and len(self._robots) >= self.robots_max:
+                return None
+            self._robots[robot] = replace(before or RobotStatus(robot), intake=intake)
+            return None if before is None else before.intake
 
     def robots(self) -> tuple[RobotStatus, ...]:
         """All robots, by name."""

@@ -1,0 +1,216 @@
+"""What ROS 2 robots send, from the zenoh session of the service to its intake."""
+
+import logging
+import queue
+import threading
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+import zenoh
+import zenoh.ext
+
+from gpom_core.ros import cdr
+from gpom_core.ros.keys import (
+    Origin,
+    TopicPattern,
+    Transport,
+    data_selector,
+    presence_selector,
+    topic_of,
+    topic_of_presence,
+)
+from service.clock import Clock, SystemClock
+from service.fleet import IntakeStatus
+from service.ros.intake import Intake, Kind, RosMessage
+from service.ros_settings import RosSettings
+from service.source import SourceSink
+from service.worker import Worker
+
+logger = logging.getLogger(__name__)
+
+_T = TypeVar("_T")
+
+_TICK_S = 0.05
+_REPORT_S = 0.25
+_STATIC_HISTORY = 100  # broadcasters of one robot, each with its last message
+
+
+class RosGateway:
+    """Subscribes to scans, transforms and signs of life; one thread looks at them.
+
+    A zenoh callback only puts the message into a bounded queue, and blocks while it is full: that
+    is what slows robots down.
+
+    Args:
+        settings: of ROS.
+        beams_max: a scan with more is refused.
+        robots_max: scans of further robots are refused.
+        clock: for waiting.
+    """
+
+    def __init__(
+        self,
+        settings: RosSettings,
+        *,
+        beams_max: int,
+        robots_max: int,
+        clock: Clock | None = None,
+    ) -> None:
+        self._settings = settings
+        self._beams_max = beams_max
+        self._robots_max = robots_max
+        self._clock = clock or SystemClock()
+        self._queue: queue.Queue[RosMessage] = queue.Queue(settings.queue_messages_max)
+        self._closed = threading.Event()
+        self._held: list[Any] = []
+        self._worker: Worker | None = None
+        self._tokens: Counter[str] = Counter()
+        self._tokens_lock = threading.Lock()
+
+    def attach(self, session: zenoh.Session, sink: SourceSink) -> None:
+        """Start to deliver to `sink`.
+
+        Raises:
+            zenoh.ZError: the session is closed.
+        """
+        if not self._settings.transports:
+            return
+        intake = Intake(
+            self._settings,
+            beams_max=self._beams_max,
+            robots_max=self._robots_max,
+            deliver=sink.on_scan,
+            clock=self._clock,
+        )
+        self._worker = Worker("ros", _Loop(self._queue, self._closed, intake, sink, self._clock))
+        self._worker.start()
+        for transport in self._settings.transports:
+            self._subscribe(session, transport)
+            self._watch(session, transport, sink)
+
+    def detach(self) -> None:
+        """Stop to deliver; may be called twice."""
+        self._closed.set()
+        self._held = []
+        worker, self._worker = self._worker, None
+        if worker is not None:
+            worker.join(1.0)
+
+    def _subscribe(self, session: zenoh.Session, transport: Transport) -> None:
+        settings = self._settings
+        topics: list[tuple[Kind, tuple[str, ...], str]] = [
+            ("tf_static", settings.tf_static_topics, cdr.TF_MESSAGE),
+            ("scan", settings.scan_topics, cdr.LASER_SCAN),
+        ]
+        if settings.pose_from == "tf":
+            topics.append(("tf", settings.tf_topics, cdr.TF_MESSAGE))
+        else:
+            kind = cdr.ODOMETRY if settings.pose_from == "odometry" else cdr.POSE
+            topics.append(("pose", settings.pose_topics, kind))
+        for kind, patterns, type_name in topics:
+            for text in patterns:
+                pattern = TopicPattern(text)
+                key = data_selector(transport, settings.domain, pattern.key, type_name)
+                callback = _caught(self._receive(kind, transport, pattern))
+                if kind == "tf_static":
+                    # Who comes late gets them from the publishers' caches only.
+                    history = zenoh.ext.HistoryConfig(
+                        detect_late_publishers=True, max_samples=_STATIC_HISTORY
+                    )
+                    self._held.append(
+                        zenoh.ext.declare_advanced_subscriber(
+                            session, key, callback, history=history, subscriber_detection=True
+                        )
+                    )
+                else:
+                    self._held.append(session.declare_subscriber(key, callback))
+
+    def _receive(
+        self, kind: Kind, transport: Transport, pattern: TopicPattern
+    ) -> Callable[[zenoh.Sample], None]:
+        def receive(sample: zenoh.Sample) -> None:
+            origin = pattern.match(topic_of(transport, str(sample.key_expr)))
+            if sample.kind != zenoh.SampleKind.PUT or origin is None:
+                return
+            beside = None if sample.attachment is None else sample.attachment.to_bytes()
+            message = RosMessage(kind, origin, sample.payload.to_bytes(), beside)
+            while not self._closed.is_set():
+                with suppress(queue.Full):
+                    self._queue.put(message, timeout=_TICK_S)
+                    return
+
+        return receive
+
+    def _watch(self, session: zenoh.Session, transport: Transport, sink: SourceSink) -> None:
+        patterns = [TopicPattern(text) for text in self._settings.scan_topics]
+
+        def on_token(sample: zenoh.Sample) -> None:
+            topic = topic_of_presence(transport, str(sample.key_expr))
+            origin: Origin | None = next(filter(None, (p.match(topic) for p in patterns)), None)
+            if origin is None:
+                return
+            robot = origin.robot or self._settings.robot
+            with self._tokens_lock:
+                self._tokens[robot] += 1 if sample.kind == zenoh.SampleKind.PUT else -1
+                alive = self._tokens[robot] > 0
+            sink.on_presence(robot, alive)
+
+        key = presence_selector(transport, self._settings.domain, cdr.LASER_SCAN)
+        self._held.append(
+            session.liveliness().declare_subscriber(key, _caught(on_token), history=True)
+        )
+
+
+class _Loop:
+    """One step of the thread: a message if there is one, then what time brings."""
+
+    def __init__(
+        self,
+        messages: "queue.Queue[RosMessage]",
+        closed: threading.Event,
+        intake: Intake,
+        sink: SourceSink,
+        clock: Clock,
+    ) -> None:
+        self._messages = messages
+        self._closed = closed
+        self._intake = intake
+        self._sink = sink
+        self._clock = clock
+        self._told: dict[str, IntakeStatus] = {}
+        self._tick_s = self._report_s = 0.0
+
+    def __call__(self) -> bool:
+        try:
+            message = self._messages.get(timeout=_TICK_S)
+        except queue.Empty:
+            pass
+        else:
+            self._intake.handle(message)
+        now_s = self._clock.monotonic_s()
+        if now_s >= self._tick_s:
+            self._tick_s = now_s + _TICK_S
+            self._intake.tick()
+        if now_s >= self._report_s:
+            self._report_s = now_s + _REPORT_S
+            self._tell()
+        return not self._closed.is_set()
+
+    def _tell(self) -> None:
+        report = self._intake.report()
+        for robot, status in report.items():
+            if self._told.get(robot) != status:
+                self._sink.on_intake(robot, status)
+        self._told = report
+
+
+def _caught(callback: Callable[[_T], None]) -> Callable[[_T], None]:
+    def safe(item: _T) -> None:
+        try:
+            callback(item)
+        except Exception:
+            logger.exception("a zenoh callback failed; the sample is lost")
+
+    return safe

@@ -1,0 +1,161 @@
+"""The scans of one sensor on their way from a message to a scan with a pose."""
+
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+
+from gpom_core.errors import InvalidScanError, UnknownPoseError
+from gpom_core.frames import FrameTree
+from gpom_core.ros.attachment import Attachment
+from gpom_core.scan import Scan
+from gpom_core.sweep import Sweep, to_scan, to_still_scan
+
+_PATIENCE_S = 0.5  # transforms come a little after the scans; that alone is no problem
+
+
+@dataclass(frozen=True, slots=True)
+class Placing:
+    """How sweeps are placed.
+
+    Attributes:
+        map_frame: the frame of the map.
+        wait_s: how long a sweep waits for its transforms.
+        waiting_max: how many do.
+        correct_motion: whether motion within a sweep is taken out.
+    """
+
+    map_frame: str
+    wait_s: float
+    waiting_max: int
+    correct_motion: bool
+
+
+@dataclass(slots=True)
+class Tally:
+    """What became of the scans of one robot.
+
+    Attributes:
+        received: messages.
+        delayed: had to wait for a transform, and got it.
+        uncorrected: motion within the sweep is left in, as the transform at its end did not come.
+        dropped: by reason.
+        problem: what is wrong now; None while scans go through.
+        problem_unix_s: since when.
+    """
+
+    received: int = 0
+    delayed: int = 0
+    uncorrected: int = 0
+    dropped: Counter[str] = field(default_factory=Counter)
+    problem: str | None = None
+    problem_unix_s: float = 0.0
+
+    def drop(self, reason: str, problem: str, unix_s: float) -> None:
+        """Count a scan that comes to nothing."""
+        self.dropped[reason] += 1
+        self.trouble(problem, unix_s)
+
+    def trouble(self, problem: str, unix_s: float) -> None:
+        """Note what is wrong; it keeps the time at which things began to go wrong."""
+        if self.problem is None:
+            self.problem_unix_s = unix_s
+        self.problem = problem
+
+
+@dataclass(slots=True)
+class _Waiting:
+    sweep: Sweep
+    boot: int
+    seq: int
+    arrived_s: float
+    tried: bool = False
+
+
+class SensorStream:
+    """One sensor: sweeps go in, scans come out in the same order. Owned by one thread.
+
+    rmw_zenoh numbers the messages of a publisher. The numbers of the scans follow them, so that
+    what was lost on the way is a gap, and what was dropped here is none.
+    """
+
+    def __init__(self, placing: Placing, tree: FrameTree, tally: Tally) -> None:
+        self._placing = placing
+        self._tree = tree
+        self._tally = tally
+        self._waiting: deque[_Waiting] = deque()
+        self._gid: bytes | None = None
+        self._boot = 0
+        self._before_first = 0
+        self._seq = 0
+        self._dropped_here = 0
+
+    def __len__(self) -> int:
+        """Sweeps that wait."""
+        return len(self._waiting)
+
+    def add(self, sweep: Sweep, origin: Attachment | None, now_s: float, unix_s: float) -> None:
+        """Take a sweep in."""
+        gid = b"" if origin is None else origin.gid
+        if gid != self._gid:  # the publisher was started anew
+            self._gid, self._boot = gid, max(round(unix_s * 1e9), self._boot + 1)
+            self._before_first = 0 if origin is None else origin.sequence - 1
+            self._seq = self._dropped_here = 0
+        number = self._seq + 1 if origin is None else origin.sequence - self._before_first
+        if number <= self._seq:
+            self._tally.dropped["repeated"] += 1
+            return
+        self._seq = number
+        if len(self._waiting) >= self._placing.waiting_max:
+            self._drop("waiting_full", "too many scans wait for their transforms", unix_s)
+        self._waiting.append(_Waiting(sweep, self._boot, number, now_s))
+
+    def placed(
+        self, covariance: Callable[[], tuple[float, ...]], now_s: float, unix_s: float
+    ) -> Iterator[Scan]:
+        """Give the scans whose transforms are known; drop those that waited in vain."""
+        while self._waiting:
+            head = self._waiting[0]
+            expired = now_s - head.arrived_s > self._placing.wait_s
+            try:
+                scan = self._place(head, covariance(), expired)
+            except UnknownPoseError as error:
+                if error.reason == "too_old":
+                    self._drop("late", str(error), unix_s)
+                elif expired:
+                    self._drop("no_transform", str(error), unix_s)
+                else:
+                    head.tried = True
+                    if now_s - head.arrived_s > _PATIENCE_S:
+                        self._tally.trouble(str(error), unix_s)
+                    return
+            except InvalidScanError as error:
+                self._drop(error.reason, str(error), unix_s)
+            else:
+                self._waiting.popleft()
+                self._tally.delayed += head.tried
+                self._tally.problem = None
+                yield scan
+
+    def _place(self, head: _Waiting, covariance: tuple[float, ...], expired: bool) -> Scan:
+        sweep, placing = head.sweep, self._placing
+        first = self._tree.lookup(placing.map_frame, sweep.frame, sweep.stamp_ns)
+        end_ns = sweep.last_stamp_ns
+        if end_ns == sweep.stamp_ns or not placing.correct_motion:
+            scan = to_scan(sweep, first, covariance)
+        else:
+            try:
+                last = self._tree.lookup(placing.map_frame, sweep.frame, end_ns)
+                scan = to_still_scan(sweep, first, last, covariance)
+            except UnknownPoseError:
+                if not expired:
+                    raise
+                self._tally.uncorrected += 1
+                scan = to_scan(sweep, first, covariance)
+        # Numbers of a publisher that is gone are not shifted by what was dropped since.
+        shift = self._dropped_here if head.boot == self._boot else 0
+        return replace(scan, boot=head.boot, seq=max(head.seq - shift, 1))
+
+    def _drop(self, reason: str, problem: str, unix_s: float) -> None:
+        head = self._waiting.popleft()
+        self._dropped_here += head.boot == self._boot
+        self._tally.drop(reason, problem, unix_s)
