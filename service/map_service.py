@@ -134,13 +134,14 @@ class MapService:
         # Small factorisations get 10-20 times slower when each tries to use all cores.
         threadpoolctl.threadpool_limits(1)
         self._resume()
-        self._mapping.worker.start()
-        self._ingest.worker.start()
         try:
+            # Before the threads: what arrives waits in the queue, and what fails, fails fast.
             self._ports.source.open(self)
         except BaseException:
             self.stop()
             raise
+        self._mapping.worker.start()
+        self._ingest.worker.start()
 
     def _resume(self) -> None:
         archive, journal = self._ports.archive, self._journal

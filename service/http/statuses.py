@@ -16,6 +16,23 @@ from service.map_service import MapService
 router = APIRouter(tags=["status"])
 
 
+class Intake(BaseModel):
+    """Scans that come without a pose (ROS), before they are scans of the map."""
+
+    received: int = Field(examples=[1210])
+    waiting: int = Field(description="for their transforms", examples=[1])
+    delayed: int = Field(description="that waited for a transform and got it", examples=[400])
+    uncorrected: int = Field(description="with motion within the sweep left in", examples=[0])
+    dropped: dict[str, int] = Field(description="by reason", examples=[{"no_transform": 9}])
+    age_s: float | None = Field(
+        description="of the last one by its own stamp when it came; far from 0, its clock is off"
+    )
+    problem: str | None = Field(
+        description="what is wrong now, and since when; null while all is well",
+        examples=["no transform from map to laser: no frame is called laser, since …"],
+    )
+
+
 class Robot(BaseModel):
     """One robot that was seen."""
 
@@ -27,6 +44,7 @@ class Robot(BaseModel):
         description="x m, y m, yaw rad of the sensor at its last scan", examples=[[1.0, 2.0, 0.5]]
     )
     alive: bool = Field(description="whether its liveliness token is up")
+    intake: Intake | None = Field(description="null unless its scans come without a pose")
 
 
 class Status(BaseModel):
@@ -178,6 +196,9 @@ def _status(service: MapService) -> Status:
                 last_seen=robot.last_seen_unix_s,
                 pose=robot.pose,
                 alive=robot.alive,
+                intake=None
+                if robot.intake is None
+                else Intake(**{name: getattr(robot.intake, name) for name in Intake.model_fields}),
             )
             for robot in service.fleet.robots()
         ],
