@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from gpom_core.expert import Expert
 from gpom_core.reach import TILE_BITS, TILE_OFFSET, Reach
+from gpom_core.sides import Sides, sides_of
 
 Bounds = tuple[float, float, float, float]
 
@@ -18,7 +19,10 @@ SECTOR_TILES = 1 << SECTOR_SHIFT
 SECTOR_M = TILE_M * SECTOR_TILES
 
 # Columns of `Member.table`: addresses of arrays, then their lengths.
-KINDS, GEOMETRY, WEIGHTS, PRECISION, MEMBERS, TILES, STARTS, SIZE, TILE_COUNT = range(9)
+(
+    KINDS, GEOMETRY, WEIGHTS, PRECISION, EDGES, CORNERS, FACTORS, MEMBERS, TILES, STARTS,
+    SIZE, TILE_COUNT,
+) = range(12)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +32,7 @@ class Member:
     Attributes:
         line: (2, 2) ends of the cluster's line, metres.
         bounds: of the evidence. revision: of the evidence that it was trained on.
-        table: (9,) addresses of the arrays that queries read, and their lengths.
+        table: (12,) addresses of the arrays that queries read, and their lengths.
         scales: (2,) inverse length scale, 1/m, and signal variance.
         sectors: keys of the sectors that the evidence reaches.
     """
@@ -39,6 +43,7 @@ class Member:
     reach: Reach
     line: NDArray[np.float64]
     bounds: Bounds
+    sides: Sides = field(init=False, repr=False)
     table: NDArray[np.int64] = field(init=False, repr=False)
     scales: NDArray[np.float64] = field(init=False, repr=False)
     sectors: frozenset[int] = field(init=False, repr=False)
@@ -48,10 +53,12 @@ class Member:
         arrays = (o.kinds, o.geometry, self.expert.weights, self.expert.precision)
         if not all(array.flags.c_contiguous for array in arrays):
             raise ValueError("an expert's arrays must be contiguous: queries read them by address")
-        addresses = [a.ctypes.data for a in (*arrays, r.members, r.tiles, r.starts)]
+        sides = sides_of(o.kinds, o.geometry, h.length_scale_m)
+        addresses = [a.ctypes.data for a in (*arrays, *sides, r.members, r.tiles, r.starts)]
         table = np.array([*addresses, len(o), len(r.tiles)], np.int64)
         x = ((r.tiles >> TILE_BITS) - TILE_OFFSET) >> SECTOR_SHIFT
         y = ((r.tiles & ((1 << TILE_BITS) - 1)) - TILE_OFFSET) >> SECTOR_SHIFT
+        object.__setattr__(self, "sides", sides)
         object.__setattr__(self, "table", table)
         object.__setattr__(self, "scales", np.array([1.0 / h.length_scale_m, h.signal_std**2]))
         object.__setattr__(self, "sectors", frozenset(np.unique(sector_key(x, y)).tolist()))

@@ -7,33 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from llvmlite import ir
-from numba import carray, types
-from numba.extending import intrinsic
+from numba import carray
 from numpy.typing import NDArray
 
-from gpom_core.beams import BOX, POINT
-from gpom_core.committee import contribution
 from gpom_core.jit import compiled
-from gpom_core.kernels import point_box, point_point, point_segment
 from gpom_core.member import (
-    GEOMETRY,
-    KINDS,
-    MEMBERS,
-    PRECISION,
     SECTOR_M,
     SECTOR_TILES,
-    SIZE,
     STARTS,
     TILE_COUNT,
     TILE_M,
     TILES,
-    WEIGHTS,
     Member,
 )
+from gpom_core.opinions import tile_sums
+from gpom_core.pointers import pointer
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
 
 
@@ -77,16 +67,6 @@ def build_sector(members: Mapping[int, Member], key: int) -> Sector:
     )
 
 
-@intrinsic
-def _pointer(typing_context: Any, address: Any) -> Any:
-    """An integer address as a pointer that `carray` takes."""
-
-    def generate(context: Any, builder: Any, _signature: Any, args: Any) -> Any:
-        return builder.inttoptr(args[0], ir.IntType(8).as_pointer())
-
-    return types.voidptr(types.int64), generate
-
-
 @compiled
 def _local(key: int, x0: int, y0: int) -> int:
     """Number of a tile inside the sector whose first tile is (x0, y0), or -1."""
@@ -103,7 +83,7 @@ def _entries(
     """`starts` and `entries` of a `Sector`, by counting first and filling then."""
     starts = np.zeros(SECTOR_TILES * SECTOR_TILES + 1, np.int64)
     for k in range(len(tables)):
-        tiles = carray(_pointer(tables[k, TILES]), (tables[k, TILE_COUNT],), np.int64)
+        tiles = carray(pointer(tables[k, TILES]), (tables[k, TILE_COUNT],), np.int64)
         for t in range(len(tiles)):
             local = _local(tiles[t], x0, y0)
             if local >= 0:
@@ -113,8 +93,8 @@ def _entries(
     entries = np.empty((starts[-1], 3), np.int64)
     for k in range(len(tables)):
         count = tables[k, TILE_COUNT]
-        tiles = carray(_pointer(tables[k, TILES]), (count,), np.int64)
-        first = carray(_pointer(tables[k, STARTS]), (count + 1,), np.int64)
+        tiles = carray(pointer(tables[k, TILES]), (count,), np.int64)
+        first = carray(pointer(tables[k, STARTS]), (count + 1,), np.int64)
         for t in range(count):
             local = _local(tiles[t], x0, y0)
             if local >= 0:
@@ -124,15 +104,6 @@ def _entries(
                 entries[e, 1] = first[t]
                 entries[e, 2] = first[t + 1]
     return starts, entries
-
-
-@compiled
-def _covariance(kind: int, shape: Any, point: Any, inverse: Any) -> float:
-    if kind == POINT:
-        return point_point(shape, point, inverse)
-    if kind == BOX:
-        return point_box(shape, point, inverse)
-    return point_segment(shape, point, inverse)
 
 
 @compiled
@@ -157,43 +128,32 @@ def committee_sums(
         negligible: kernel values below this share of the signal variance count as zero.
         precision, information: (n,) sums to add to.
     """
-    room = 0
-    for e in range(len(entries)):
-        room = max(room, entries[e, 2] - entries[e, 1])
-    near, value = np.empty(room, np.int64), np.empty(room)
-    inverse = np.empty(2)
-    for w in which:
-        x, y = points[w, 0], points[w, 1]
-        tx = min(max(int((x - corner[0]) / TILE_M), 0), SECTOR_TILES - 1)
-        ty = min(max(int((y - corner[1]) / TILE_M), 0), SECTOR_TILES - 1)
-        tile = tx * SECTOR_TILES + ty
-        for e in range(starts[tile], starts[tile + 1]):
-            k = entries[e, 0]
-            n, signal = tables[k, SIZE], scales[k, 1]
-            inverse[:] = scales[k, 0]
-            kinds = carray(_pointer(tables[k, KINDS]), (n,), np.uint8)
-            geometry = carray(_pointer(tables[k, GEOMETRY]), (n, 2, 2), np.float64)
-            weights = carray(_pointer(tables[k, WEIGHTS]), (n,), np.float64)
-            inverse_k = carray(_pointer(tables[k, PRECISION]), (n, n), np.float64)
-            members = carray(_pointer(tables[k, MEMBERS]), (entries[e, 2],), np.int32)
-            found, mean = 0, 0.0
-            for s in range(entries[e, 1], entries[e, 2]):
-                i = members[s]
-                v = _covariance(kinds[i], geometry[i], points[w], inverse)
-                if v > negligible:
-                    near[found] = i
-                    value[found] = v
-                    found += 1
-                    mean += v * weights[i]
-            if found == 0:
-                continue
-            explained = 0.0
-            for a in range(found):
-                row, part = inverse_k[near[a]], 0.0
-                for b in range(a):
-                    part += value[b] * row[near[b]]
-                explained += value[a] * (2.0 * part + value[a] * row[near[a]])
-            variance = max(signal * (1.0 - signal * explained), 1e-9 * signal)
-            p, i = contribution(fusion, signal * mean, variance, signal)
-            precision[w] += p
-            information[w] += i
+    tile = np.empty(len(which), np.int64)
+    first = np.zeros(SECTOR_TILES * SECTOR_TILES + 1, np.int64)
+    most = 0
+    for w in range(len(which)):
+        x, y = points[which[w], 0] - corner[0], points[which[w], 1] - corner[1]
+        tx = min(max(int(x / TILE_M), 0), SECTOR_TILES - 1)
+        ty = min(max(int(y / TILE_M), 0), SECTOR_TILES - 1)
+        tile[w] = tx * SECTOR_TILES + ty
+        first[tile[w] + 1] += 1
+        most = max(most, first[tile[w] + 1])
+    first = np.cumsum(first)
+    cursor = first.copy()
+    order = np.empty(len(which), np.int64)
+    for w in range(len(which)):
+        order[cursor[tile[w]]] = which[w]
+        cursor[tile[w]] += 1
+    inside, sums = np.empty((most, 2)), np.empty((2, most))
+    for t in range(SECTOR_TILES * SECTOR_TILES):
+        here = order[first[t] : first[t + 1]]
+        near = entries[starts[t] : starts[t + 1]]
+        if len(here) == 0 or len(near) == 0:
+            continue
+        for w in range(len(here)):
+            inside[w, 0], inside[w, 1] = points[here[w], 0], points[here[w], 1]
+        sums[:, : len(here)] = 0.0
+        tile_sums(inside[: len(here)], tables, scales, near, fusion, negligible, sums[0], sums[1])
+        for w in range(len(here)):
+            precision[here[w]] += sums[0, w]
+            information[here[w]] += sums[1, w]
