@@ -49,10 +49,13 @@ def serve(
     from service.errors import JournalError, MapFileError, SourceError  # noqa: PLC0415
 
     logs.configure(settings.log_level)
+    code = 0
     try:
         server.run(settings, announce=typer.echo)
     except (JournalError, MapFileError, SourceError) as error:
-        raise _failure(str(error)) from error
+        code = _failure(str(error)).exit_code
+    server.leave(code)
+    raise typer.Exit(code)
 
 
 def _given(**values: Any) -> dict[str, Any]:

@@ -2,8 +2,11 @@
 
 import asyncio
 import logging
+import os
 import signal
 import socket
+import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
@@ -34,6 +37,18 @@ def run(settings: Settings, announce: Callable[[str], None]) -> None:
     listener = _listen(settings.http)
     with listener:
         asyncio.run(_serve(settings, listener, announce))
+
+
+def leave(code: int) -> None:
+    """End the process here and now if a thread is still in compiled code, else do nothing.
+
+    Such a thread cannot be interrupted, and an interpreter that is torn down under it crashes.
+    """
+    if any(thread.name.startswith("gpom-") for thread in threading.enumerate()):
+        logging.shutdown()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
 
 async def _serve(

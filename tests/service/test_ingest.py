@@ -105,18 +105,16 @@ def test_a_scan_that_was_not_stored_is_new_when_it_is_repeated(rig) -> None:
     assert rig.refused("stale") == 0
 
 
-def test_a_broken_journal_shows_until_it_works_again(rig) -> None:
+def test_a_broken_journal_shows_until_it_works_again(rig, eventually) -> None:
     rig = rig()
     rig.journal.broken = "disk is full"
     rig.ingest.worker.start()
     rig.ingest.on_scan("robot", "front", payload_at(seq=1))
-    while not rig.batches():
-        pass
+    eventually(lambda: bool(rig.batches()))
     assert "disk is full" in rig.ingest.trouble()
     rig.journal.broken = None
     rig.ingest.on_scan("robot", "front", payload_at(seq=2))
-    while len(rig.batches()) < 2:
-        pass
+    eventually(lambda: len(rig.batches()) == 2)
     assert rig.ingest.trouble() is None
     rig.ingest.queue.close()
     assert rig.ingest.worker.join(10.0)

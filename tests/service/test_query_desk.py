@@ -38,7 +38,7 @@ def test_long_calls_end_with_the_desk() -> None:
         future.result(5.0)
 
 
-def test_errors_reach_the_caller_and_free_the_place() -> None:
+def test_errors_reach_the_caller_and_free_the_place(eventually) -> None:
     desk = QueryDesk(threads=1, waiting_max=0, retry_after_s=1)
 
     def fail() -> None:
@@ -48,8 +48,7 @@ def test_errors_reach_the_caller_and_free_the_place() -> None:
         future = desk.submit(fail)
         with pytest.raises(KeyError):
             future.result(5.0)
-        while desk.taken:
-            pass
+        eventually(lambda: not desk.taken)
     desk.close()
     with pytest.raises(StoppingError):
         desk.submit(fail)
