@@ -68,7 +68,6 @@ class _Waiting:
     boot: int
     seq: int
     arrived_s: float
-    tried: bool = False
 
 
 class SensorStream:
@@ -88,6 +87,7 @@ class SensorStream:
         self._before_first = 0
         self._seq = 0
         self._dropped_here = 0
+        self._held_up = 0  # of those that wait, so many were here when the first had to
 
     def __len__(self) -> int:
         """Sweeps that wait."""
@@ -124,15 +124,15 @@ class SensorStream:
                 elif expired:
                     self._drop("no_transform", str(error), unix_s)
                 else:
-                    head.tried = True
+                    self._held_up = len(self._waiting)
                     if now_s - head.arrived_s > _PATIENCE_S:
                         self._tally.trouble(str(error), unix_s)
                     return
             except InvalidScanError as error:
                 self._drop(error.reason, str(error), unix_s)
             else:
-                self._waiting.popleft()
-                self._tally.delayed += head.tried
+                self._tally.delayed += self._held_up > 0
+                self._pop()
                 self._tally.problem = None
                 yield scan
 
@@ -156,6 +156,10 @@ class SensorStream:
         return replace(scan, boot=head.boot, seq=max(head.seq - shift, 1))
 
     def _drop(self, reason: str, problem: str, unix_s: float) -> None:
-        head = self._waiting.popleft()
+        head = self._pop()
         self._dropped_here += head.boot == self._boot
         self._tally.drop(reason, problem, unix_s)
+
+    def _pop(self) -> _Waiting:
+        self._held_up = max(self._held_up - 1, 0)
+        return self._waiting.popleft()
