@@ -3,11 +3,11 @@
 Rooms, from the ground up; each may use those above it in this list, and gpom_core:
 
 1. errors: the clients' branch of the tree of errors. children: processes that a command starts.
-2. keys: names and addresses. log_reader: what a reader of logs offers. world: geometry of simulated
+2. keys: names and addresses. outbox: where scans wait. log_reader: what a reader of logs offers. world: geometry of simulated
    sites. answers: what the map service answers.
 3. link: a zenoh session and one stream on it. carmen: one format of logs. building: a furnished
    site. sensor: a simulated scanner. calls: the HTTP interface as values.
-4. publisher: numbered scans of one sensor. logs: whatever the format. motion: how robots drive.
+4. reliable: what is not stored is sent again. publisher: numbered scans of one sensor. logs: whatever the format. motion: how robots drive.
    map_client: asks the map, blocking or not.
 5. simulate: robots that drive and scan. protocol: how accuracy is measured. dispatch: scans sent
    when they are due.
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     )
     from clients.link import SessionSettings, open_session
     from clients.logs import open_log
+    from clients.outbox import OutboxSettings
     from clients.map_client import AsyncMapClient, MapClient
     from clients.publisher import ScanPublisher
 
@@ -52,6 +53,7 @@ __all__ = [
     "MapTimeoutError",
     "MapUnavailableError",
     "MapUnreachableError",
+    "OutboxSettings",
     "PointPrediction",
     "RobotStatus",
     "ScanPublisher",
@@ -61,7 +63,7 @@ __all__ = [
 ]
 
 # Whoever asks the map needs no zenoh, so it comes last.
-_ROOMS = ("answers", "errors", "map_client", "logs", "link", "publisher")
+_ROOMS = ("answers", "errors", "map_client", "logs", "link", "outbox", "publisher")
 
 
 def __getattr__(name: str) -> Any:

@@ -39,6 +39,11 @@ class Sender(Protocol):
         ...
 
     @property
+    def reliable(self) -> bool:
+        """Whether scans are kept until the map has them."""
+        ...
+
+    @property
     def interruptions(self) -> int:
         """How often reception ended."""
         ...
@@ -64,7 +69,7 @@ class Report:
         sent: scans per robot.
         elapsed_s: from the first to the end of the last.
         most_late_s: how far the latest scan was behind its time; 0 when none was due later.
-        interruptions: how often a robot lost the map service.
+        interruptions: how often a robot lost the map service, and scans may have been lost by it.
         drained: whether all scans have left this machine.
         stopped: whether it was told to stop before the end.
     """
@@ -132,12 +137,12 @@ def dispatch(
         sent[departure.robot] += 1
         on_sent(departure)
     # Every robot, even after one that fails.
-    drained = [_drain(sender, stop) for sender in senders]
+    drained = [_drain(sender, stop, timeout_s) for sender in senders]
     return Report(
         sent=tuple(sent),
         elapsed_s=time.monotonic() - started,
         most_late_s=most_late_s,
-        interruptions=sum(sender.interruptions for sender in senders),
+        interruptions=sum(sender.interruptions for sender in senders if not sender.reliable),
         drained=all(drained),
         stopped=stop.is_set(),
     )
@@ -154,9 +159,15 @@ def _await_return(sender: Sender, timeout_s: float, stop: Event, sent: int) -> b
         raise DeliveryError(message) from error
 
 
-def _drain(sender: Sender, stop: Event) -> bool:
-    end = time.monotonic() + DRAIN_TIMEOUT_S
+def _drain(sender: Sender, stop: Event, timeout_s: float) -> bool:
+    """Wait until all is through; a reliable sender may wait for a map that comes back."""
+    patience_s = timeout_s if sender.reliable else 0.0
+    end = seen = time.monotonic()
+    end += DRAIN_TIMEOUT_S
     while not sender.drain(_DRAIN_POLL_S):
-        if stop.is_set() or not sender.ready or time.monotonic() > end:
+        now = time.monotonic()
+        if sender.ready:
+            seen = now
+        if stop.is_set() or now > end or now - seen > patience_s:
             return False
     return True

@@ -3,6 +3,10 @@
 GpomError
 ├── LogReadError                a log cannot be read as a log of laser scans
 ├── DeliveryError               scans do not reach the map: no router, no map service, link lost
+│   ├── OutboxFullError         no room for another scan in time
+│   ├── OutboxStorageError      the outbox on disk cannot be used
+│   ├── ScanDroppedError        the outbox dropped this scan to make room, as told
+│   └── SupersededError         another publisher has taken over this robot's name
 └── MapServiceError             the map's HTTP interface gave no answer that can be used
     ├── MapRequestError         4xx: the question is refused as asked
     ├── MapUnavailableError     5xx: the service cannot answer now
@@ -28,6 +32,22 @@ class DeliveryError(GpomError):
     """Scans do not reach the map: no router, no map service, or the link is lost."""
 
     exit_code = RUNTIME_EXIT_CODE
+
+
+class OutboxFullError(DeliveryError):
+    """There was no room for another scan in time."""
+
+
+class OutboxStorageError(DeliveryError):
+    """The outbox on disk cannot be read or written."""
+
+
+class ScanDroppedError(DeliveryError):
+    """The outbox dropped this scan to make room, as its policy says."""
+
+
+class SupersededError(DeliveryError):
+    """Another publisher has taken over the stream: two robots have the same name."""
 
 
 class MapServiceError(GpomError):

@@ -93,7 +93,7 @@ def losses(report: Report) -> str | None:
     if report.interruptions:
         return "the map service went away meanwhile, so scans may be missing in the map"
     if not report.drained:
-        return "the map service had not taken the last scans, so some may be missing in the map"
+        return "the map service has not acknowledged the last scans, so some may be missing in it"
     return None
 
 

@@ -51,6 +51,11 @@ class StreamKeys:
         return f"{self.prefix}/{self.robot}/cursor/{self.sensor}"
 
     @property
+    def ack(self) -> str:
+        """Where the service says up to which scan the stream is stored."""
+        return f"{self.prefix}/{self.robot}/ack/{self.sensor}"
+
+    @property
     def alive(self) -> str:
         """The robot's liveliness token."""
         return f"{self.prefix}/{self.robot}/alive"

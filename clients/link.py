@@ -141,8 +141,8 @@ class ScanLink:
         )
         raise DeliveryError(message)
 
-    def send(self, parcel: Parcel) -> None:
-        """Hand one parcel to zenoh; blocks while the receiver is busy.
+    def send(self, parcel: Parcel) -> int:
+        """Hand one parcel to zenoh; blocks while the receiver is busy. Gives its number.
 
         Raises:
             DeliveryError: the link or its session is closed.
@@ -152,6 +152,7 @@ class ScanLink:
         except zenoh.ZError as error:
             message = f"cannot put on {self._keys.scan}: {error}"
             raise DeliveryError(message) from error
+        return parcel.seq
 
     def drain(self, timeout_s: float) -> bool:
         """Wait until all that was sent has left this machine.

@@ -37,6 +37,8 @@ ENCODING = "application/x-gpom-scan;v=1"
 _HEADER = struct.Struct("<4sBBHIIQQqddd6fffffffII")
 _PREFIX = struct.Struct("<4sBBHIIQQ")
 _CRC = struct.Struct("<I")
+_SEQUENCE = struct.Struct("<QQ")
+_SEQUENCE_OFFSET = 16
 _COUNT = struct.Struct("<I")
 _COUNT_OFFSET = 112
 _CRC_OFFSET = 116
@@ -116,6 +118,19 @@ def decode(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
         if intensities
         else None,
     )
+
+
+def renumber(payload: bytes, boot: int, seq: int) -> bytes:
+    """Give a payload of `encode` another place in a stream; all else stays.
+
+    For whoever keeps payloads before it is known which number they will have.
+    """
+    header = bytearray(payload[:HEADER_LENGTH])
+    _SEQUENCE.pack_into(header, _SEQUENCE_OFFSET, boot, seq)
+    body = memoryview(payload)[HEADER_LENGTH:]
+    crc = zlib.crc32(body, zlib.crc32(memoryview(header)[:_CRC_OFFSET]))
+    _CRC.pack_into(header, _CRC_OFFSET, crc)
+    return bytes(header) + body
 
 
 def _check_frame(payload: bytes, max_beams: int) -> tuple[int, int, int]:

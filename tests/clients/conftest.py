@@ -1,6 +1,7 @@
 """A stand-in for the map service on a real zenoh router, on a free port of this machine."""
 
 import json
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -30,11 +31,18 @@ def router_config(endpoint: str) -> zenoh.Config:
 
 
 class FakeMap:
-    """Router and map service in one session: keeps what arrives, may be slow, may stay silent."""
+    """Router and map service in one session: keeps what arrives, may be slow, may stay silent.
+
+    `stored` are the cursors of streams; scans that are acknowledged are those it counts there.
+    """
 
     def __init__(self, session: zenoh.Session, *, delay_s: float = 0.0) -> None:
         self.session = session
         self.delay_s = delay_s
+        self.stored: dict[str, tuple[int, int]] = {}
+        self.acknowledges = True
+        self.drop_every = 0
+        self._seen = 0
         self.samples: list[zenoh.Sample] = []
         self._arrived = threading.Condition()
         self._parts: list[object] = []
@@ -46,6 +54,9 @@ class FakeMap:
 
     def subscribe(self, prefix: str = DEFAULT_PREFIX) -> None:
         self._parts.append(self.session.declare_subscriber(f"{prefix}/*/scan/*", self._on_sample))
+        self._parts.append(
+            self.session.declare_queryable(f"{prefix}/*/cursor/*", self._on_cursor, complete=True)
+        )
 
     def appear(self, prefix: str = DEFAULT_PREFIX) -> None:
         self._parts.append(self.session.liveliness().declare_token(f"{prefix}/_map/alive"))
@@ -71,9 +82,30 @@ class FakeMap:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         time.sleep(self.delay_s)
+        scan = decode(sample.payload.to_bytes())
+        key = str(sample.key_expr).replace("/scan/", "/cursor/")
+        if scan.reliable:
+            self._seen += 1
+            if self.drop_every and self._seen % self.drop_every == 0:
+                return
+            boot, seq = self.stored.get(key, (0, 0))
+            expected = seq + 1 if scan.boot == boot else 1
+            new = scan.boot >= boot and scan.seq == expected
+            if new:
+                self.stored[key] = (scan.boot, scan.seq)
+            if self.acknowledges:
+                cursor = struct.pack("<QQ", *self.stored.get(key, (0, 0)))
+                self.session.put(key.replace("/cursor/", "/ack/"), cursor)
+            if not new:
+                return
         with self._arrived:
             self.samples.append(sample)
             self._arrived.notify_all()
+
+    def _on_cursor(self, query: zenoh.Query) -> None:
+        with query:
+            cursor = self.stored.get(str(query.key_expr))
+            query.reply(query.key_expr, b"" if cursor is None else struct.pack("<QQ", *cursor))
 
 
 @contextmanager

@@ -19,7 +19,8 @@ SCAN = Scan(Pose2D(0.0, 0.0, 0.0), np.ones(2, np.float32), 0.0, 1.0, 0.1, 10.0)
 class FakeSender:
     """A publisher in memory."""
 
-    def __init__(self, *, ready=True, drains=True):
+    def __init__(self, *, ready=True, drains=True, reliable=False):
+        self.reliable = reliable
         self.ready = ready
         self.drains = drains
         self.interruptions = 0

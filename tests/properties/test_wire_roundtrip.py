@@ -3,6 +3,7 @@
 import struct
 import zlib
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from hypothesis.extra import numpy as arrays
 
 from gpom_core.errors import InvalidScanError
 from gpom_core.scan import Pose2D, Scan
-from gpom_core.wire import decode, encode
+from gpom_core.wire import decode, encode, renumber
 
 small = st.floats(-100.0, 100.0, width=32)
 coordinates = st.floats(-1e7, 1e7)
@@ -99,3 +100,9 @@ def test_overwritten_bytes_do_no_harm(scan: Scan, data: st.DataObject, seal: boo
         struct.pack_into("<I", payload, 116, crc)
 
     decode_or_refuse(bytes(payload))
+
+
+@given(scans(), st.integers(0, 2**64 - 1), st.integers(1, 2**64 - 1))
+def test_renumbering_changes_the_number_alone(scan, boot, seq):
+    renumbered = renumber(encode(scan), boot, seq)
+    assert renumbered == encode(replace(scan, boot=boot, seq=seq))

@@ -1,0 +1,393 @@
+"""Delivery that loses nothing: what the map has not acknowledged is kept, and sent again.
+
+One thread sends. It begins by asking the map where the stream is, sends from there, and asks again
+whenever there was no progress for a second. The map stores scans in order and once, so sending
+twice does no harm.
+"""
+
+import logging
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Future
+from enum import Enum
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import zenoh
+
+from clients.errors import (
+    DeliveryError,
+    OutboxFullError,
+    ScanDroppedError,
+    SupersededError,
+)
+from clients.keys import StreamKeys
+from clients.link import Parcel, ScanLink
+from clients.outbox import DiskStore, Entry, MemoryStore, OutboxSettings, Store
+from gpom_core.wire import renumber
+
+_CURSOR = struct.Struct("<QQ")
+_ASK_TIMEOUT_S = 2.0
+_RETRY_S = 0.2
+_STUCK_S = 10.0
+
+_logger = logging.getLogger(__name__)
+
+
+class Cursor(NamedTuple):
+    """The last scan of a stream that the map has stored."""
+
+    boot: int
+    seq: int
+
+
+class Unknown(Enum):
+    """What a map may say instead of a cursor."""
+
+    STREAM = "the map does not know the stream"
+    MAP = "no map answered"
+
+
+class ReliableLink:
+    """An outbox in front of a `ScanLink`.
+
+    Args:
+        session: open; it is not closed here.
+        keys: of the stream.
+        boot: of the run, unless the outbox on disk goes on with an older one.
+        settings: of the outbox.
+        on_durable: told the ticket of every scan that the map has stored, in order, by a thread of
+            this link; it must be quick.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        keys: StreamKeys,
+        boot: int,
+        settings: OutboxSettings,
+        on_durable: Callable[[int], None] | None = None,
+    ) -> None:
+        self._session = session
+        self._keys = keys
+        self._settings = settings
+        self._on_durable = on_durable
+        self._store: Store = (
+            MemoryStore(boot)
+            if settings.path is None
+            else DiskStore(settings.path, f"{keys.robot}/{keys.sensor}", boot)
+        )
+        self._sent = len(self._store)  # entries that may be on their way: they keep their numbers
+        self._next = 0  # place in the queue of the entry to send
+        self._synced = False
+        self._progress_s = time.monotonic()
+        self._stuck_since_s: float | None = None
+        self._acks: deque[Cursor] = deque()
+        self._waiting: dict[int, Future[int]] = {}
+        self._dropped = 0
+        self._broken: DeliveryError | None = None
+        self._closing = False
+        self._changed = threading.Condition()
+        self._link = ScanLink(session, keys)
+        self._subscriber = session.declare_subscriber(keys.ack, self._on_ack)
+        self._thread = threading.Thread(target=self._run, name=f"gpom-outbox-{keys.robot}")
+        self._thread.daemon = True  # a put that hangs must not hold the process
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    @property
+    def ready(self) -> bool:
+        """Whether a map service receives what is sent now."""
+        return self._link.ready
+
+    @property
+    def interruptions(self) -> int:
+        """How often reception ended. Nothing is lost by it."""
+        return self._link.interruptions
+
+    @property
+    def boot(self) -> int:
+        """Of the run that is being sent."""
+        return self._store.boot
+
+    @property
+    def waiting(self) -> int:
+        """Scans that the map has not acknowledged."""
+        return len(self._store)
+
+    @property
+    def dropped(self) -> int:
+        """Scans that the policy dropped."""
+        return self._dropped
+
+    @property
+    def ticket(self) -> int:
+        """Of the last scan that was taken."""
+        return self._store.ticket
+
+    def wait_ready(self, timeout_s: float) -> None:
+        """Wait until a map service receives.
+
+        Raises:
+            DeliveryError: none does in time.
+        """
+        self._link.wait_ready(timeout_s)
+
+    def send(self, parcel: Parcel) -> int:
+        """Take a scan, whatever its number; it is sent with the next one of the stream.
+
+        Returns:
+            Its ticket: 1, 2, 3, … in this outbox.
+
+        Raises:
+            OutboxFullError: there was no room in time.
+            DeliveryError: the link is closed, or another publisher has the robot's name.
+        """
+        with self._changed:
+            self._make_room(len(parcel.payload))
+            entry = self._store.add(parcel.payload)
+            self._changed.notify_all()
+            return entry.ticket
+
+    def durable(self, ticket: int) -> "Future[int]":
+        """Give a future that is done when the map has stored a scan that was just taken.
+
+        `asyncio.wrap_future` makes it awaitable. It fails with ScanDroppedError.
+        """
+        future: Future[int] = Future()
+        with self._changed:
+            front = self._store.slice(0, 1)
+            if front and front[0].ticket <= ticket:
+                self._waiting[ticket] = future
+                return future
+        future.set_result(ticket)
+        return future
+
+    def drain(self, timeout_s: float) -> bool:
+        """Wait until the map has stored all that was taken; False when that takes longer."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: len(self._store) == 0 or self._broken is not None or self._closing,
+                timeout_s,
+            )
+            return len(self._store) == 0
+
+    def close(self) -> None:
+        """Stop sending. What waits is kept on disk, or lost if there is none."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._subscriber.undeclare()  # type: ignore[no-untyped-call] # the stub gives no result type
+        self._link.close()
+        self._thread.join(_ASK_TIMEOUT_S + 1.0)
+        with self._changed:
+            self._store.close()
+            waiting, self._waiting = self._waiting, {}
+        for future in waiting.values():
+            future.set_exception(DeliveryError("the publisher was closed before it was stored"))
+
+    def _make_room(self, size: int) -> None:
+        self._refuse_if_over()
+        if self._fits(size):
+            return
+        if self._settings.policy == "drop_oldest":
+            self._drop_oldest(size)
+            return
+        timeout_s = self._settings.block_timeout_s
+        self._changed.wait_for(lambda: self._over() or self._fits(size), timeout_s)
+        self._refuse_if_over()
+        if not self._fits(size):
+            message = (
+                f"{len(self._store)} scans of {self._keys.scan} wait, which is all there is room "
+                f"for, and the map took none within {timeout_s:g} s"
+            )
+            raise OutboxFullError(message)
+
+    def _drop_oldest(self, size: int) -> None:
+        # What may be on its way keeps its number, so it cannot be dropped.
+        while not self._fits(size) and len(self._store) > self._sent:
+            self._drop(self._store.remove_at(self._sent))
+        if not self._fits(size):
+            self._dropped += 1
+            message = "the outbox is full of scans that are on their way; this one is dropped"
+            raise ScanDroppedError(message)
+
+    def _drop(self, entry: Entry) -> None:
+        self._dropped += 1
+        future = self._waiting.pop(entry.ticket, None)
+        if future is not None:
+            future.set_exception(ScanDroppedError(f"scan {entry.ticket} made room for later ones"))
+
+    def _fits(self, size: int) -> bool:
+        store = self._store
+        if len(store) == 0:
+            return True  # one that is larger than the bound must not wait for ever
+        return (
+            len(store) < self._settings.scans_max
+            and store.size_bytes + size <= self._settings.bytes_max
+        )
+
+    def _over(self) -> bool:
+        return self._broken is not None or self._closing
+
+    def _refuse_if_over(self) -> None:
+        if self._broken is not None:
+            raise self._broken
+        if self._closing:
+            raise DeliveryError(f"the publisher of {self._keys.scan} is closed")
+
+    def _on_ack(self, sample: zenoh.Sample) -> None:
+        payload = sample.payload.to_bytes()
+        if len(payload) == _CURSOR.size:
+            with self._changed:
+                self._acks.append(Cursor(*_CURSOR.unpack(payload)))
+                self._changed.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            try:
+                if not self._step():
+                    return
+            except DeliveryError as error:
+                if not self._closing:
+                    _logger.warning("%s; trying again", error)
+                    time.sleep(_RETRY_S)
+            except Exception:
+                _logger.exception("unexpected error in the outbox of %s", self._keys.scan)
+                time.sleep(_RETRY_S)
+
+    def _step(self) -> bool:
+        with self._changed:
+            self._changed.wait_for(self._has_work, self._settings.silence_s / 4)
+            if self._over():
+                return False
+            while self._acks:
+                self._absorb(self._acks.popleft())
+            self._watch_silence()
+            synced = self._synced
+            parcels = self._due() if synced and self._link.ready else []
+        if not synced:
+            self._synchronise()
+        for parcel in parcels:
+            self._link.send(parcel)
+        return True
+
+    def _has_work(self) -> bool:
+        return self._over() or bool(self._acks) or (self._synced and self._next < self._limit())
+
+    def _limit(self) -> int:
+        return min(len(self._store), self._settings.window)
+
+    def _watch_silence(self) -> None:
+        now_s = time.monotonic()
+        if len(self._store) == 0:
+            self._progress_s, self._stuck_since_s = now_s, None
+        elif now_s - self._progress_s > self._settings.silence_s:
+            self._progress_s, self._synced = now_s, False
+            if self._stuck_since_s is None:
+                self._stuck_since_s = now_s
+            elif now_s - self._stuck_since_s > _STUCK_S and self._link.ready:
+                self._stuck_since_s = now_s
+                _logger.warning(
+                    "the map has not stored scan %d of %s for %g s: it may be busy, or refuse it "
+                    "(see gpom_scans_refused in its metrics)",
+                    self._store.acked + 1,
+                    self._keys.scan,
+                    _STUCK_S,
+                )
+
+    def _due(self) -> list[Parcel]:
+        """Take what may be sent now; from here on it may be on its way."""
+        store, start = self._store, self._next
+        entries = store.slice(start, min(self._limit(), start + 32))
+        self._next += len(entries)
+        self._sent = max(self._sent, self._next)
+        if entries and start == 0:
+            self._progress_s = time.monotonic()
+        first = store.acked + 1 + start
+        return [
+            Parcel(first + i, renumber(entry.payload, store.boot, first + i))
+            for i, entry in enumerate(entries)
+        ]
+
+    def _synchronise(self) -> None:
+        if not self._link.ready:
+            time.sleep(0.02)
+            return
+        answer = self._ask()
+        with self._changed:
+            if answer is Unknown.MAP:
+                return
+            if isinstance(answer, Cursor):
+                self._absorb(answer)
+                if self._broken is not None:
+                    return
+            if self._store.acked > 0 and not (
+                isinstance(answer, Cursor) and answer.boot == self._store.boot
+            ):
+                # It had stored scans and knows them no more, so it would wait for number 1.
+                self._restart(self._store.boot + 1)
+            self._next, self._synced = 0, True
+            self._progress_s = time.monotonic()
+
+    def _ask(self) -> "Cursor | Unknown":
+        try:
+            replies = self._session.get(
+                self._keys.cursor,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                timeout=_ASK_TIMEOUT_S,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    payload = reply.ok.payload.to_bytes()
+                    known = len(payload) == _CURSOR.size
+                    return Cursor(*_CURSOR.unpack(payload)) if known else Unknown.STREAM
+        except zenoh.ZError as error:
+            raise DeliveryError(f"cannot ask for {self._keys.cursor}: {error}") from error
+        return Unknown.MAP
+
+    def _absorb(self, cursor: Cursor) -> None:
+        """Take note of what is stored."""
+        store = self._store
+        if cursor.boot > store.boot:
+            if store.acked > 0:
+                message = (
+                    f"another publisher has taken over {self._keys.scan}: two robots have the "
+                    f"same name. {len(store)} scans of this one are not stored"
+                )
+                self._broken = SupersededError(message)
+                _logger.error(message)
+                self._changed.notify_all()
+            else:
+                self._restart(cursor.boot + 1)  # this machine's clock is behind the last run's
+            return
+        count = min(cursor.seq - store.acked, len(store)) if cursor.boot == store.boot else 0
+        if count <= 0:
+            return
+        done = store.remove_front(count)
+        self._next, self._sent = max(self._next - count, 0), max(self._sent - count, 0)
+        self._progress_s, self._stuck_since_s = time.monotonic(), None
+        for entry in done:
+            future = self._waiting.pop(entry.ticket, None)
+            if future is not None:
+                future.set_result(entry.ticket)
+            if self._on_durable is not None:
+                self._on_durable(entry.ticket)
+        self._changed.notify_all()
+
+    def _restart(self, boot: int) -> None:
+        self._store.restart(boot)
+        self._next = 0
