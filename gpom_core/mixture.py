@@ -28,8 +28,9 @@ _Labels = NDArray[np.int64]
 Cross = Callable[[NDArray[np.uint8], _Floats, _Floats, float], _Floats]
 """Kernel between points (m, 2) and shapes (n), as `kernels.cross`."""
 
-REACH_SCALES = 4.0  # evidence farther away than this changes probabilities by less than 1e-3
+REACH_SCALES = 3.5  # evidence farther away changes probabilities by less than 1e-3 (measured)
 _BLOCK = 4096  # query points at a time
+_TILE_M = 0.5  # points of one tile are near the same experts
 _UNCALIBRATED = Calibration()
 
 
@@ -175,17 +176,32 @@ class Mixture:
         priors = np.array([e.hyperparameters.signal_std**2 for e in self.experts])
         alone = float((1.0 / priors).sum()) if self.fusion == Fusion.POE else 0.0
         precision = np.full(len(points), alone or 1.0 / self.prior_variance)
+        tiles, tile = _tiles_of(points)
+        margin_m = _TILE_M * np.sqrt(points.shape[1]) / 2.0
         information = np.zeros(len(points))
         for expert, prior in zip(self.experts, priors, strict=True):
             cutoff_m = REACH_SCALES * expert.hyperparameters.length_scale_m
             shapes = expert.observations
-            near = np.flatnonzero(_is_near(points, shapes.kinds, shapes.geometry, cutoff_m))
+            near = np.flatnonzero(
+                is_near(tiles, shapes.kinds, shapes.geometry, cutoff_m + margin_m)[tile]
+            )
             for block in np.array_split(near, len(near) // _BLOCK + 1):
                 mean, variance = predict(expert, points[block], self.cross)
                 add_opinion(
                     int(self.fusion), mean, variance, float(prior), block, precision, information
                 )
         return precision, information
+
+
+def _tiles_of(points: _Floats) -> tuple[_Floats, NDArray[np.intp]]:
+    """Centres of the tiles that hold points (m, d), and the tile of each point."""
+    index = np.floor(points / _TILE_M).astype(np.int64)
+    low = index.min(axis=0, initial=0)
+    size = index.max(axis=0, initial=0) - low + 1
+    code = np.ravel_multi_index(tuple((index - low).T), tuple(size.tolist()))
+    codes, tile = np.unique(code, return_inverse=True)
+    corner = np.stack(np.unravel_index(codes, tuple(size.tolist())), axis=1) + low
+    return (corner + 0.5) * _TILE_M, tile.reshape(-1)
 
 
 def predict(expert: Expert, points: _Floats, cross: Cross = cross) -> tuple[_Floats, _Floats]:
@@ -215,7 +231,7 @@ def add_opinion(
 
 
 @compiled
-def _is_near(
+def is_near(
     points: _Floats, kinds: NDArray[np.uint8], geometry: _Floats, cutoff_m: float
 ) -> NDArray[np.bool_]:
     """Which points (m, d) are within the cut-off of any of the shapes (n, 2, d)."""
