@@ -182,10 +182,10 @@ class MapPublisher:
         except GpomError as error:  # it is being restored
             logger.debug("no map to publish: %s", error)
             return
-        if snapshot.bounds is None or (self._grid is not None and area is None):
+        if snapshot.reach is None or (self._grid is not None and area is None):
             return
         resolution_m = self._settings.map.resolution_m
-        everything = patch_over(snapshot.bounds, resolution_m)
+        everything = patch_over(snapshot.reach, resolution_m)
         grid = self._grid
         changed = everything if grid is None or area is None else patch_over(area, resolution_m)
         whole = everything.joined(changed).grown()

@@ -1,0 +1,137 @@
+import time
+
+import numpy as np
+import pytest
+
+from gpom_core import wire
+from gpom_core.ros import cdr as types
+from service.ros.gateway import RosGateway
+from service.ros_settings import RosSettings
+from service.settings import ZenohSettings
+from service.zenoh_source import ZenohSource
+from tests.gpom_core.ros.samples import S, laser_scan, odometry, tf
+from tests.service.conftest import wait_until
+from tests.service.ros.rmw import talker
+
+LOCAL = ("tcp/127.0.0.1:0",)
+BOTH = ("rmw_zenoh", "bridge")
+SPEAKERS = [("rmw_zenoh", False), ("rmw_zenoh", True), ("bridge", False)]
+
+
+class Sink:
+    """Writes down what arrives."""
+
+    def __init__(self) -> None:
+        self.scans = []
+        self.presence = []
+        self.intake = {}
+
+    def on_scan(self, robot, sensor, payload) -> None:
+        self.scans.append((robot, sensor, wire.decode(payload)))
+
+    def on_presence(self, robot, alive) -> None:
+        self.presence.append((robot, alive))
+
+    def on_intake(self, robot, status) -> None:
+        self.intake[robot] = status
+
+
+@pytest.fixture
+def sink() -> Sink:
+    return Sink()
+
+
+@pytest.fixture
+def opened(sink):
+    """Opens sources with a gateway, and closes them."""
+    sources = []
+
+    def open_source(**settings) -> str:
+        ros = RosSettings(**{"transports": BOTH, **settings})
+        gateway = RosGateway(ros, beams_max=1000, robots_max=10)
+        source = ZenohSource(ZenohSettings(listen=LOCAL), [gateway])
+        source.open(sink)
+        sources.append(source)
+        return source.endpoints()[0]
+
+    yield open_source
+    for source in sources:
+        source.close()
+
+
+@pytest.mark.parametrize(("transport", "humble"), SPEAKERS)
+def test_scans_and_transforms_of_both_transports_arrive(sink, opened, transport, humble) -> None:
+    with talker(opened(), transport, humble=humble) as robot:
+        time.sleep(0.2)  # until the subscriptions are known there
+        robot.say("r1/tf_static", tf(("base", "laser", (0.5, 0, 0), 0)))
+        for second in range(4):
+            robot.say("r1/tf", tf(("map", "base", (second, 0, 0), second * S)))
+        robot.say("r1/scan", laser_scan(round(2.5 * S)))
+        wait_until(lambda: len(sink.scans) == 1, 10.0)
+        ((name, sensor, scan),) = sink.scans
+        assert (name, sensor) == ("r1", "scan")
+        assert scan.pose.x_m == pytest.approx(3.0)
+        wait_until(lambda: "r1" in sink.intake, 5.0)
+
+
+@pytest.mark.parametrize("transport", BOTH)
+def test_who_comes_late_still_gets_fixed_transforms(sink, opened, transport) -> None:
+    """The robot has said them before the service was there, and will not again."""
+    endpoint = opened()
+    with talker(endpoint, transport) as robot:
+        robot.say("r1/tf_static", tf(("map", "laser", (1.0, 0, 0), 0)))
+        late = Sink()
+        source = ZenohSource(
+            ZenohSettings(listen=(), connect=(endpoint,)),
+            [RosGateway(RosSettings(transports=(transport,)), beams_max=99, robots_max=9)],
+        )
+        source.open(late)
+        try:
+            time.sleep(0.3)
+            robot.say("r1/scan", laser_scan(S))
+            wait_until(lambda: len(sink.scans) == 1, 10.0)
+        finally:
+            source.close()
+
+
+@pytest.mark.parametrize(("transport", "humble"), SPEAKERS)
+def test_robots_come_and_go(sink, opened, transport, humble) -> None:
+    with talker(opened(), transport, humble=humble) as robot:
+        robot.appear("r1/scan", types.LASER_SCAN)
+        robot.appear("r1/camera/scan", types.LASER_SCAN)  # not one of ours
+        wait_until(lambda: sink.presence == [("r1", True)], 10.0)
+        robot.vanish()
+        wait_until(lambda: sink.presence[-1] == ("r1", False), 10.0)
+
+
+def test_odometry_instead_of_transforms(sink, opened) -> None:
+    endpoint = opened(pose_from="odometry", scan_topics=("{robot}/{sensor}/scan",))
+    with talker(endpoint, "rmw_zenoh") as robot:
+        time.sleep(0.2)
+        for second in (1, 2):
+            robot.say("r7/odom", odometry(second * S, second, 0, 0, child="laser"))
+        robot.say("r7/front/scan", laser_scan(S))
+        wait_until(lambda: len(sink.scans) == 1, 10.0)
+    assert sink.scans[0][:2] == ("r7", "front")
+    assert sink.scans[0][2].pose.x_m == 1.0
+
+
+def test_a_hostile_robot_is_counted_and_does_no_harm(sink, opened) -> None:
+    with talker(opened(), "bridge") as robot:
+        time.sleep(0.2)
+        robot.session.put("evil/scan", b"\x00\x01\x00\x00" + b"\xff" * 64)
+        robot.session.put("evil/tf", b"\x00\x01\x00\x00" + b"\xff" * 64)
+        robot.say("r1/tf_static", tf(("map", "laser", (0, 0, 0), 0)))
+        robot.say("r1/scan", laser_scan(S, ranges=np.ones(5)))
+        wait_until(lambda: len(sink.scans) == 1, 10.0)
+        wait_until(lambda: sink.intake.get("evil") is not None, 5.0)
+        wait_until(lambda: sink.intake["evil"].dropped == {"bad_cdr": 2}, 5.0)
+
+
+def test_nothing_is_heard_when_it_is_off(sink, opened) -> None:
+    with talker(opened(transports=()), "bridge") as robot:
+        time.sleep(0.2)
+        robot.say("r1/scan", laser_scan(S))
+        time.sleep(0.3)
+    assert not sink.scans
+    assert not sink.intake
