@@ -34,7 +34,7 @@ def meets(cell: tuple[int, int], a: np.ndarray, b: np.ndarray, margin: float) ->
     enter, leave = 0.0, 1.0
     for low, start, step in zip(cell, a, b - a, strict=True):
         sides = np.array([low - margin, low + 1 + margin])
-        if step == 0.0:
+        if abs(step) < 1e-300:  # 1 / step would overflow
             if not sides[0] <= start <= sides[1]:
                 return False
             continue
