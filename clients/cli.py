@@ -51,6 +51,7 @@ _OWN_COMMANDS = dict(
         _own("query", "clients.query_command:query", ignore_unknown_options=True),
         _own("export", "clients.query_command:export"),
         _own("evaluate", "clients.evaluate:evaluate_command"),
+        _own("paper", "clients.paper.command:paper"),
     ]
 )
 
