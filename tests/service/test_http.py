@@ -251,6 +251,7 @@ def test_status_of_a_map(mapped, source) -> None:
     assert ymin < -2.9 < 2.9 < ymax
     (robot,) = status["robots"]
     assert robot.pop("last_seen") > 1e9
+    assert robot.pop("intake") is None, "nothing came without a pose"
     assert robot == {"id": "robot", "scans": 6, "lost": 3, "pose": [1.0, -1.0, 0.0], "alive": True}
 
 
