@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from rosbags.interfaces import Connection
 
 from clients.bag_content import TF_TYPES, Bag, open_bag
 from clients.errors import LogReadError
@@ -87,7 +88,7 @@ class BagLog:
 
     def _read_frames(self, bag: Bag, topic: str) -> FrameTree:
         tree = FrameTree(keep_s=None)
-        topics = bag.topics(*TF_TYPES)
+        topics = _of_the_same_robot(bag.topics(*TF_TYPES), topic)
         if not topics:
             message = (
                 f"{bag.path} has scans ({topic}) but no transforms (/tf), so where the laser was "
@@ -165,6 +166,16 @@ def _choose_topic(bag: Bag, wanted: str | None) -> str:
         if name in counts:
             return name
     raise LogReadError(f"{bag.path} has no laser scans on {wanted}; it has them on: {found}")
+
+
+def _of_the_same_robot(transforms: list[Connection], topic: str) -> list[Connection]:
+    """Leave out transforms of other robots, if each has a namespace: frames have equal names."""
+    near = [
+        connection
+        for connection in transforms
+        if topic.startswith(connection.topic.rpartition("/")[0] + "/")
+    ]
+    return near or transforms
 
 
 def _choose_map(path: Path, tree: FrameTree, frame: str, wanted: str | None) -> str:

@@ -50,6 +50,8 @@ _OWN_COMMANDS = dict(
         # -1.5 is a place, not an option.
         _own("query", "clients.query_command:query", ignore_unknown_options=True),
         _own("export", "clients.query_command:export"),
+        _own("record", "clients.record:record"),
+        _own("doctor", "clients.doctor:doctor"),
         _own("evaluate", "clients.evaluate:evaluate_command"),
         _own("paper", "clients.paper.command:paper"),
     ]

@@ -1,5 +1,6 @@
 """Options that several commands share."""
 
+from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -26,6 +27,20 @@ MapFrame = Annotated[
     str | None,
     typer.Option(help="Frame to place scans in, in a ROS bag.  [default: map]", metavar="FRAME"),
 ]
+
+
+class RosTransport(StrEnum):
+    """How ROS 2 comes over zenoh."""
+
+    RMW_ZENOH = "rmw_zenoh"
+    BRIDGE = "bridge"
+
+
+Transports = Annotated[
+    list[RosTransport] | None,
+    typer.Option(help="How ROS 2 comes; may be repeated.  [default: both]"),
+]
+Domain = Annotated[int, typer.Option(help="ROS_DOMAIN_ID; rmw_zenoh only.", min=0, max=232)]
 Fusion = Annotated[str, typer.Option(help="Rule that merges experts: bcm, rbcm or poe.")]
 
 __all__ = [
@@ -34,11 +49,14 @@ __all__ = [
     "DEFAULT_URL",
     "DEFAULT_WAIT_S",
     "Connect",
+    "Domain",
     "Fusion",
     "MapFrame",
     "Prefix",
+    "RosTransport",
     "Sensor",
     "Topic",
+    "Transports",
     "Url",
     "Wait",
     "parse_box",

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpom_core.errors import RosMessageError
 from gpom_core.ros import cdr
+from gpom_core.scan import Scan
 from gpom_core.sweep import Sweep
 from gpom_core.transforms import Rigid, rigid
 
@@ -173,6 +174,44 @@ def write_grid_update(cells: Cells, column: int, row: int, frame: str, at_ns: in
         data=cells.ravel(),
     )
     return cdr.encode(message, cdr.GRID_UPDATE)
+
+
+def write_laser_scan(scan: Scan, frame: str) -> bytes:
+    """Write a scan as ``sensor_msgs/LaserScan``; its pose goes by `write_transform`."""
+    last = scan.angle_min_rad + scan.angle_increment_rad * (scan.ranges_m.size - 1)
+    none = np.zeros(0, np.float32)
+    message = cdr.make(
+        cdr.LASER_SCAN,
+        header=_header(frame, scan.stamp_ns),
+        angle_min=scan.angle_min_rad,
+        angle_max=last,
+        angle_increment=scan.angle_increment_rad,
+        time_increment=scan.time_increment_s,
+        scan_time=scan.scan_time_s,
+        range_min=scan.range_min_m,
+        range_max=scan.range_max_m,
+        ranges=scan.ranges_m,
+        intensities=none if scan.intensities is None else scan.intensities,
+    )
+    return cdr.encode(message, cdr.LASER_SCAN)
+
+
+def write_transform(parent: str, child: str, pose: Rigid, at_ns: int) -> bytes:
+    """Write a ``tf2_msgs/TFMessage`` with one transform."""
+    transform = cdr.make(
+        "geometry_msgs/msg/Transform",
+        translation=cdr.make("geometry_msgs/msg/Vector3", x=pose.x_m, y=pose.y_m, z=pose.z_m),
+        rotation=cdr.make(
+            "geometry_msgs/msg/Quaternion", x=pose.qx, y=pose.qy, z=pose.qz, w=pose.qw
+        ),
+    )
+    item = cdr.make(
+        "geometry_msgs/msg/TransformStamped",
+        header=_header(parent, at_ns),
+        child_frame_id=child,
+        transform=transform,
+    )
+    return cdr.encode(cdr.make(cdr.TF_MESSAGE, transforms=[item]), cdr.TF_MESSAGE)
 
 
 def stamp_ns(stamp: Any) -> int:
