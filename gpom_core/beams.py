@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.clusters import Clusters, add_hit_moments, touch
 from gpom_core.jit import compiled
-from gpom_core.rows import NONE, Rows, add_unindexed, attach, cell_key, detach, find_or_add
-from gpom_core.tiles import TILE_SHIFT, Tiles, place_in_tile, square, tile_at
+from gpom_core.rows import NONE, Rows, add_unindexed, attach, cell_key, detach, find, find_or_add
+from gpom_core.tiles import TILE_CELLS, TILE_SHIFT, Tiles, gap_to_tile, place_in_tile, tile_at
 
+FREE, HIT = 0, 1  # columns of `Tiles.used`
 POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
 
 
@@ -34,8 +33,6 @@ def absorb_hits(
     The caller has made room for n rows and n tiles. Returns the number of new rows.
     """
     fresh = 0
-    reach = int(np.ceil(near_m / cell_m))
-    around = np.empty((2 * reach + 1, 2 * reach + 1), np.int32)
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
         key = cell_key(POINT, int(np.floor(x / hit_cell_m)), int(np.floor(y / hit_cell_m)))
@@ -53,8 +50,8 @@ def absorb_hits(
             tile, place = tile_at(tiles, ix, iy), place_in_tile(ix, iy)
             if tiles.hit[tile, place] == NONE:
                 tiles.hit[tile, place] = row
-                square(tiles, tiles.free, ix, iy, reach, around)
-                _claim_free_areas(ix, iy, row, around, rows, clusters, cell_m, near_m)
+                tiles.used[tile, HIT] += 1
+                _claim_free_areas(row, rows, tiles, clusters, cell_m, near_m)
         else:
             homes[i] = rows.owner[row]
             share = 1.0 / (min(rows.count[row], cap - 1.0) + 1.0)  # a running mean that forgets
@@ -66,64 +63,77 @@ def absorb_hits(
 
 @compiled
 def _claim_free_areas(
-    ix: int, iy: int, hit: int, around: Any, rows: Rows, clusters: Clusters,
-    cell_m: float, near_m: float,
-) -> None:  # fmt: skip
-    """Give the free areas `around` a new surface to its cluster where it is the nearest."""
+    hit: int, rows: Rows, tiles: Tiles, clusters: Clusters, cell_m: float, near_m: float
+) -> None:
+    """Give the free areas around a new surface to its cluster where it is the nearest."""
     home = rows.owner[hit]
-    reach = len(around) // 2
-    for dx in range(-reach, reach + 1):
-        for dy in range(-reach, reach + 1):
-            row = around[dx + reach, dy + reach]
-            if row == NONE:
+    x, y = rows.geometry[hit, 0, 0], rows.geometry[hit, 0, 1]
+    edge = TILE_CELLS * cell_m
+    for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
+        for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
+            if gap_to_tile(tx, ty, x, y, cell_m) >= near_m:
                 continue
-            d = np.hypot(
-                (ix + dx + 0.5) * cell_m - rows.geometry[hit, 0, 0],
-                (iy + dy + 0.5) * cell_m - rows.geometry[hit, 0, 1],
-            )
-            if d >= near_m or d >= rows.near[row]:
+            tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
+            if tile == NONE or tiles.used[tile, FREE] == 0:
                 continue
-            rows.near[row] = d
-            if rows.owner[row] != home:
-                clusters.fresh[rows.owner[row]] += 1
-                clusters.fresh[home] += 1
-                detach(rows, clusters.head, clusters.rows, row)
-                attach(rows, clusters.head, clusters.rows, row, home)
+            for place in range(TILE_CELLS * TILE_CELLS):
+                row = tiles.free[tile, place]
+                if row == NONE:
+                    continue
+                d = np.hypot(
+                    0.5 * (rows.geometry[row, 0, 0] + rows.geometry[row, 1, 0]) - x,
+                    0.5 * (rows.geometry[row, 0, 1] + rows.geometry[row, 1, 1]) - y,
+                )
+                if d >= near_m or d >= rows.near[row]:
+                    continue
+                rows.near[row] = d
+                if rows.owner[row] != home:
+                    clusters.fresh[rows.owner[row]] += 1
+                    clusters.fresh[home] += 1
+                    detach(rows, clusters.head, clusters.rows, row)
+                    attach(rows, clusters.head, clusters.rows, row, home)
 
 
 @compiled
 def _nearest_hit(
-    ix: int, iy: int, around: Any, rows: Rows, cell_m: float, near_m: float
+    x: float, y: float, rows: Rows, tiles: Tiles, cell_m: float, near_m: float
 ) -> tuple[int, float]:
-    """Row of the nearest hit `around` within `near_m` of a cell's centre, or NONE; distance."""
+    """Row of the nearest hit within `near_m` of (x, y), or NONE, and its distance."""
     best, nearest = NONE, near_m
-    reach = len(around) // 2
-    cx, cy = (ix + 0.5) * cell_m, (iy + 0.5) * cell_m
-    for dx in range(2 * reach + 1):
-        for dy in range(2 * reach + 1):
-            hit = around[dx, dy]
-            if hit != NONE:
-                d = np.hypot(cx - rows.geometry[hit, 0, 0], cy - rows.geometry[hit, 0, 1])
-                if d < nearest:
-                    best, nearest = hit, d
+    edge = TILE_CELLS * cell_m
+    for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
+        for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
+            if gap_to_tile(tx, ty, x, y, cell_m) >= nearest:
+                continue
+            tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
+            if tile == NONE or tiles.used[tile, HIT] == 0:
+                continue
+            for place in range(TILE_CELLS * TILE_CELLS):
+                hit = tiles.hit[tile, place]
+                if hit != NONE:
+                    d = np.hypot(x - rows.geometry[hit, 0, 0], y - rows.geometry[hit, 0, 1])
+                    if d < nearest:
+                        best, nearest = hit, d
     return best, (nearest if best != NONE else np.inf)
 
 
 @compiled
 def _new_free_area(
-    ix: int, iy: int, tile: int, home: int, around: Any, rows: Rows, tiles: Tiles,
+    ix: int, iy: int, tile: int, home: int, rows: Rows, tiles: Tiles,
     clusters: Clusters, cell_m: float, near_m: float,
 ) -> int:  # fmt: skip
     """A new row for cell (ix, iy), given to the cluster that is at home there."""
     row = add_unindexed(rows, cell_key(BOX, ix, iy))
     tiles.free[tile, place_in_tile(ix, iy)] = row
+    tiles.used[tile, FREE] += 1
     rows.kind[row] = BOX
     rows.geometry[row, 0, 0] = ix * cell_m
     rows.geometry[row, 0, 1] = iy * cell_m
     rows.geometry[row, 1, 0] = (ix + 1) * cell_m
     rows.geometry[row, 1, 1] = (iy + 1) * cell_m
-    square(tiles, tiles.hit, ix, iy, len(around) // 2, around)
-    hit, rows.near[row] = _nearest_hit(ix, iy, around, rows, cell_m, near_m)
+    hit, rows.near[row] = _nearest_hit(
+        (ix + 0.5) * cell_m, (iy + 0.5) * cell_m, rows, tiles, cell_m, near_m
+    )
     if hit != NONE:
         home = rows.owner[hit]
     elif tiles.first[tile] == NONE:
@@ -162,8 +172,6 @@ def absorb_free_areas(
         The first beam that there was no room for (n when done), and the number of new rows.
     """
     fresh = 0
-    reach = int(np.ceil(near_m / cell_m))
-    around = np.empty((2 * reach + 1, 2 * reach + 1), np.int32)
     x, y = origin[0], origin[1]
     per_cell = 1.0 / cell_m
     for b in range(start, len(free_m)):
@@ -193,7 +201,7 @@ def absorb_free_areas(
                 if row == NONE:
                     fresh += 1
                     row = _new_free_area(
-                        ix, iy, tile, homes[b], around, rows, tiles, clusters, cell_m, near_m
+                        ix, iy, tile, homes[b], rows, tiles, clusters, cell_m, near_m
                     )
                 touch(rows, clusters, row, (leave - t) * per_cell, cap)
                 t = leave

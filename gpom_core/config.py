@@ -22,10 +22,12 @@ class MapConfig(BaseModel):
     hit_cell_m: float = Field(0.05, gt=0.005, le=1.0, description="hits closer than this merge")
     segment_m: float = Field(0.5, gt=0.05, le=2.0, description="longest free segment")
     coarse_levels: int = Field(3, ge=0, le=6, description="free areas merge up to cell_m * 2^this")
-    coarsen_from_m: float = Field(0.2, ge=0.0, description="distance to a hit where they start to")
+    coarsen_ratio: float = Field(
+        3.0, ge=0.0, description="they merge where the nearest hit is farther than this many edges"
+    )
     hit_margin_m: float = Field(0.1, ge=0.0, le=1.0, description="not called free before a hit")
     max_range_m: float = Field(30.0, gt=0.0, le=300.0, description="beams are cut here")
-    hit_noise_std: float = Field(0.45, gt=0.0, description="of one hit, in units of the target")
+    hit_noise_std: float = Field(0.42, gt=0.0, description="of one hit, in units of the target")
     free_noise_std: float = Field(2.5, gt=0.0, description="of one traversal")
     hit_cap: float = Field(100.0, ge=1.0, description="evidence of a place never counts more")
     free_cap: float = Field(1000.0, ge=1.0)
@@ -34,12 +36,12 @@ class MapConfig(BaseModel):
     line_tolerance_m: float = Field(0.1, gt=0.0, description="distance of a hit from its line")
     line_gap_m: float = Field(0.3, gt=0.0, description="longest gap between hits of a line")
     max_length_m: float = Field(3.0, gt=0.1, description="a longer cluster is split")
-    max_observations: int = Field(400, ge=16, description="a larger expert is split")
+    max_observations: int = Field(160, ge=16, description="a larger expert is split")
     retrain_gain: float = Field(
         0.1, gt=0.0, description="relative growth of known evidence that makes an expert dirty"
     )
     near_surface_m: float = Field(
-        1.2, ge=0.0, le=5.0, description="free areas this near follow the hit"
+        2.4, ge=0.0, le=20.0, description="free areas this near belong to the nearest hit's cluster"
     )
 
     # Experts

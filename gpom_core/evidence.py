@@ -184,7 +184,7 @@ class Evidence:
         c = self.config
         observations = observations_of(
             self.rows, self.clusters, cluster,
-            cell_m=c.cell_m, levels=c.coarse_levels, coarsen_from_m=c.coarsen_from_m,
+            cell_m=c.cell_m, levels=c.coarse_levels, coarsen_ratio=c.coarsen_ratio,
             hit_noise_std=c.hit_noise_std, free_noise_std=c.free_noise_std,
             hit_cap=c.hit_cap, free_cap=c.free_cap,
         )  # fmt: skip

@@ -68,13 +68,13 @@ def merge_areas(
     near: NDArray[np.float64],
     cell_m: float,
     levels: int,
-    coarsen_from_m: float,
+    coarsen_ratio: float,
     cap: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Merge free areas four by four into coarser ones where no surface is near.
 
-    A square of edge e is merged when its four quarters are all known and its nearest hit is
-    farther than `coarsen_from_m` + e, so that fine areas remain where the map bends.
+    Four known quarters are merged when their nearest hit is farther than `coarsen_ratio` of their
+    edges, so that fine areas remain where the map bends.
 
     Args:
         key: (n,) lattice keys. count: (n,). near: (n,) distance to the nearest hit.
@@ -106,7 +106,7 @@ def merge_areas(
                 seen += count[order[j]]
                 summed += weight[order[j]]
                 j += 1
-            if level < levels and j - i == 4 and nearest > coarsen_from_m + edge:
+            if level < levels and j - i == 4 and nearest > coarsen_ratio * edge:
                 # The parent takes the place of a child that has been read already.
                 first = order[i]
                 near[first], count[first], weight[first] = nearest, seen, summed
@@ -137,7 +137,7 @@ def observations_of(  # noqa: PLR0913 - numbers, all by name
     *,
     cell_m: float,
     levels: int,
-    coarsen_from_m: float,
+    coarsen_ratio: float,
     hit_noise_std: float,
     free_noise_std: float,
     hit_cap: float,
@@ -149,7 +149,7 @@ def observations_of(  # noqa: PLR0913 - numbers, all by name
     areas, others = mine[kind == BOX], mine[kind != BOX]
     box_geometry, box_count, box_weight = merge_areas(
         rows.keys[areas, 0], rows.count[areas], rows.near[areas],
-        cell_m, levels, coarsen_from_m, free_cap,
+        cell_m, levels, coarsen_ratio, free_cap,
     )  # fmt: skip
     kinds = np.concatenate([rows.kind[others], np.full(len(box_count), BOX, np.uint8)])
     hit = kinds == POINT

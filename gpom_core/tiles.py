@@ -26,6 +26,7 @@ class Tiles(NamedTuple):
         slots, keys: hash index, as in `Rows`.
         free: (t, 64) row of the free area of each cell.
         hit: (t, 64) row of the first hit in each cell.
+        used: (t, 2) how many cells have a free area, and how many a hit.
         first: (t,) row of the tile's first free area in the open: its cluster is at home here.
     """
 
@@ -33,6 +34,7 @@ class Tiles(NamedTuple):
     keys: NDArray[np.int64]
     free: NDArray[np.int32]
     hit: NDArray[np.int32]
+    used: NDArray[np.int32]
     first: NDArray[np.int32]
     size: NDArray[np.int64]
 
@@ -44,6 +46,7 @@ def new_tiles(capacity: int = 256) -> Tiles:
         keys=np.zeros((capacity, 2), np.int64),
         free=np.full((capacity, _AREA), NONE, np.int32),
         hit=np.full((capacity, _AREA), NONE, np.int32),
+        used=np.zeros((capacity, 2), np.int32),
         first=np.full(capacity, NONE, np.int32),
         size=np.zeros(1, np.int64),
     )
@@ -55,7 +58,7 @@ def with_room(tiles: Tiles, extra: int) -> Tiles:
     if used + extra <= capacity:
         return tiles
     grown = new_tiles(max(2 * capacity, used + extra))
-    for name in ("free", "hit", "first"):
+    for name in ("free", "hit", "used", "first"):
         getattr(grown, name)[:used] = getattr(tiles, name)[:used]
     _index(grown, tiles.keys[:used])
     return grown
@@ -102,3 +105,12 @@ def square(
             for x in range(max(x0, ix - reach), min(x0 + TILE_CELLS, ix + reach + 1)):
                 for y in range(max(y0, iy - reach), min(y0 + TILE_CELLS, iy + reach + 1)):
                     out[x - ix + reach, y - iy + reach] = of[tile, place_in_tile(x, y)]
+
+
+@inlined
+def gap_to_tile(tx: int, ty: int, x: float, y: float, cell_m: float) -> float:
+    """Distance of the point (x, y) from the tile with index (tx, ty), metres; 0 inside."""
+    edge = TILE_CELLS * cell_m
+    dx = max(tx * edge - x, x - (tx + 1) * edge, 0.0)
+    dy = max(ty * edge - y, y - (ty + 1) * edge, 0.0)
+    return np.sqrt(dx * dx + dy * dy)
