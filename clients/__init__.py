@@ -3,12 +3,12 @@
 Rooms, from the ground up; each may use those above it in this list, and gpom_core:
 
 1. errors: the clients' branch of the tree of errors. children: processes that a command starts.
-2. keys: names and addresses. outbox: where scans wait. log_reader: what a reader of logs offers. world: geometry of simulated
-   sites. answers: what the map service answers.
+2. keys: names and addresses. outbox: where scans wait. log_reader: what a reader of logs offers.
+   world: geometry of simulated sites. answers: what the map service answers.
 3. link: a zenoh session and one stream on it. carmen: one format of logs. building: a furnished
    site. sensor: a simulated scanner. calls: the HTTP interface as values.
-4. reliable: what is not stored is sent again. publisher: numbered scans of one sensor. logs: whatever the format. motion: how robots drive.
-   map_client: asks the map, blocking or not.
+4. reliable: what is not stored is sent again. publisher: numbered scans of one sensor.
+   logs: whatever the format. motion: how robots drive. map_client: asks the map, blocking or not.
 5. simulate: robots that drive and scan. protocol: how accuracy is measured. dispatch: scans sent
    when they are due.
 6. replay: a log as one robot or several. fleet: robots of one process on the way to the map.
@@ -36,8 +36,8 @@ if TYPE_CHECKING:
     )
     from clients.link import SessionSettings, open_session
     from clients.logs import open_log
-    from clients.outbox import OutboxSettings
     from clients.map_client import AsyncMapClient, MapClient
+    from clients.outbox import OutboxSettings
     from clients.publisher import ScanPublisher
 
 __all__ = [

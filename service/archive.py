@@ -9,17 +9,20 @@ import logging
 import os
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpom_core import wire
 from gpom_core.config import MapConfig
-from gpom_core.errors import GpomError
-from gpom_core.image import load
+from gpom_core.errors import GpomError, InvalidScanError
+from gpom_core.image import dump, load
 from gpom_core.mapper import Mapper
 from service.clock import Clock
 from service.errors import JournalError, MapFileError
+from service.journal import UNLIMITED_BEAMS, Journal
 from service.map_file import SavedMap, read_map, write_map
 from service.settings import JournalSettings
 from service.sqlite_journal import SqliteJournal
@@ -122,13 +125,21 @@ class Archive:
         Raises:
             MapFileError: it cannot be written.
         """
-        saved = SavedMap(image, self._config, self.journal.identity, position, self._clock.unix_s())
+        saved = self._saved(image, position)
         write_map(self.directory / f"checkpoint-{position:020d}.gpom", saved, compress=False)
         found = self.checkpoints()
         for path in found[: -self._settings.checkpoints_kept]:
             path.unlink(missing_ok=True)
         kept = found[-self._settings.checkpoints_kept :]
         self.journal.release(int(kept[0].stem.rpartition("-")[2]))
+
+    def packed(self, mapper: Mapper, position: int) -> SavedMap:
+        """A map that goes up to a position in the journal, ready to be written anywhere."""
+        return self._saved(dump(mapper), position)
+
+    def _saved(self, image: Mapping[str, NDArray[np.generic]], position: int) -> SavedMap:
+        unix_s = self._clock.unix_s()
+        return SavedMap(image, self._config, self.journal.identity, position, unix_s)
 
     def _check(self, saved: SavedMap, path: Path) -> None:
         if saved.journal != self.journal.identity:
@@ -155,3 +166,14 @@ class Archive:
             "Nothing was changed. Put back what belongs there, set the settings back, or move "
             f"{path.name} away {instead}"
         )
+
+
+def catch_up(mapper: Mapper, journal: Journal, position: int) -> int:
+    """Integrate and train what the journal holds beyond a position; how many scans that was."""
+    count = 0
+    for stored in journal.replay(position, journal.position):
+        with suppress(InvalidScanError):  # it had no place on the map then either
+            mapper.update(wire.decode(stored.payload, max_beams=UNLIMITED_BEAMS))
+        count += 1
+    mapper.train()
+    return count

@@ -13,6 +13,9 @@ from gpom_core.scan import Scan
 from service.errors import JournalError
 from service.sequences import Cursor, SensorKey
 
+UNLIMITED_BEAMS = 2**32 - 1
+"""For scans that are read back: they were valid when stored, and limits may be lower by now."""
+
 
 @dataclass(frozen=True, slots=True)
 class ScanRecord:

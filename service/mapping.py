@@ -23,7 +23,7 @@ from service.clock import Clock
 from service.errors import StoppingError
 from service.events import EventBus, MapChanged
 from service.ingest import Batch
-from service.journal import ScanRecord, StoredScan
+from service.journal import UNLIMITED_BEAMS, ScanRecord, StoredScan
 from service.metrics import Metrics
 from service.saver import Saver
 from service.settings import IngestSettings, TrainingSettings
@@ -34,7 +34,6 @@ from service.worker import Worker
 logger = logging.getLogger(__name__)
 
 _TAIL_SCANS = 256
-_UNLIMITED_BEAMS = 2**32 - 1
 _SLICE_S = 0.03  # longest stretch of integration before training gets its turn
 
 
@@ -272,8 +271,7 @@ class MapKeeper:
         """Take some scans from the journal; at its end the map is restored when it is trained."""
         for stored in islice(self._tail, _TAIL_SCANS):
             self._position = stored.position
-            # It was valid when it was stored, and limits may have been lowered since.
-            scan = wire.decode(stored.payload, max_beams=_UNLIMITED_BEAMS)
+            scan = wire.decode(stored.payload, max_beams=UNLIMITED_BEAMS)
             self._current.append(
                 ScanRecord(
                     stored.robot, stored.sensor, stored.payload, stored.received_unix_s, scan
