@@ -1,20 +1,93 @@
-"""The page for people: GET /."""
+"""The page for people, GET /, and the files it is made of: ours, and Leaflet's from its package."""
 
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
+from typing import Annotated
 
-from fastapi import APIRouter
-from fastapi.responses import HTMLResponse
+from fastapi import APIRouter, Header, Response
+from starlette.exceptions import HTTPException
+
+from service import palettes
 
 router = APIRouter(include_in_schema=False)
 
-_PAGE = files("service").joinpath("page/index.html").read_text(encoding="utf-8")
 _POLICY = (
-    "default-src 'none'; img-src 'self' blob:; connect-src 'self'; "
-    "style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; "
+    "connect-src 'self'; manifest-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'self'"
 )
+_HEADERS = {
+    "Content-Security-Policy": _POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cache-Control": "no-cache",
+}
+_MEDIA = {
+    "html": "text/html; charset=utf-8",
+    "css": "text/css; charset=utf-8",
+    "js": "text/javascript; charset=utf-8",
+    "json": "application/json",
+    "svg": "image/svg+xml",
+}
+_LEAFLET = ("leaflet.js", "leaflet.css")
 
 
-@router.get("/", response_class=HTMLResponse)
-async def page() -> HTMLResponse:
+@dataclass(frozen=True, slots=True)
+class _File:
+    content: bytes
+    media: str
+    etag: str
+
+
+@router.get("/", response_class=Response)
+async def page(if_none_match: Annotated[str | None, Header()] = None) -> Response:
     """Show the live map; everything it needs comes from this service."""
-    return HTMLResponse(_PAGE, headers={"Content-Security-Policy": _POLICY})
+    return _send("index.html", if_none_match)
+
+
+@router.get("/page/{name}", response_class=Response)
+async def page_file(name: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    """Give one of the page's files."""
+    return _send(name, if_none_match)
+
+
+def _send(name: str, if_none_match: str | None) -> Response:
+    file = _files().get(name)
+    if file is None:
+        raise HTTPException(404, "the page has no such file")
+    headers = {**_HEADERS, "ETag": file.etag}
+    if if_none_match == file.etag:
+        return Response(status_code=304, headers=headers)
+    return Response(file.content, media_type=file.media, headers=headers)
+
+
+@cache
+def _files() -> dict[str, _File]:
+    """Everything that is served, by name; nothing else on this disk can be asked for."""
+    return {name: _file(name, content) for name, content in _contents()}
+
+
+def _contents() -> Iterator[tuple[str, bytes]]:
+    for item in files("service").joinpath("page").iterdir():
+        if item.is_file() and item.name.rpartition(".")[2] in _MEDIA:
+            yield item.name, item.read_bytes()
+    leaflet = files("xstatic.pkg.leaflet").joinpath("data")
+    for name in _LEAFLET:
+        yield name, leaflet.joinpath(name).read_bytes()
+    yield "palettes.json", json.dumps(_palettes()).encode()
+
+
+def _palettes() -> dict[str, dict[str, list[str]]]:
+    themes: dict[str, dict[str, list[str]]] = {}
+    for (layer, theme), palette in palettes.TILES.items():
+        themes.setdefault(theme, {})[layer] = palettes.css(palette)
+    return themes
+
+
+def _file(name: str, content: bytes) -> _File:
+    etag = '"' + hashlib.sha256(content).hexdigest()[:16] + '"'
+    return _File(content, _MEDIA[name.rpartition(".")[2]], etag)

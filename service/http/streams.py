@@ -1,19 +1,25 @@
 """Server-sent events: GET /v1/events."""
 
 import json
+import time
 from collections.abc import AsyncIterator
 
 from fastapi import APIRouter
 from fastapi.responses import StreamingResponse
 
 from service.events import Event, MapChanged, Subscription
+from service.fleet import Fleet, RobotStatus
 from service.http.context import Service
 
 router = APIRouter(tags=["events"])
 
+_TICK_S = 0.15  # robots are looked at so often: ingest spends nothing on those who watch
+
 _EXAMPLE = (
     'id: 42\nevent: map\ndata: {"map_version": 42, "changed": [-1.0, 0.0, 2.5, 4.0]}\n\n'
     'event: robot\ndata: {"robot": "robot-1", "alive": true}\n\n'
+    'event: poses\ndata: {"time": 1767225600.2, "robots": [{"id": "robot-1", "pose": '
+    '[1.0, 2.0, 0.5], "last_seen": 1767225600.1, "scans": 1200, "alive": true}]}\n\n'
 )
 
 
@@ -23,27 +29,65 @@ _EXAMPLE = (
     responses={
         200: {
             "description": "`map`: a new version and the area it changed (null: nothing yet); the "
-            "first one is the map as it is. `robot`: one was seen first, came back or went. A slow "
-            "reader gets the newest news, with the areas it missed merged into one.",
+            "first one is the map as it is. `robot`: one was seen first, came back or went. "
+            "`poses`: robots that sent scans since the last one, a few times a second, none from "
+            "time to time; `time` is the server's. A slow reader gets the newest news, with the "
+            "areas it missed merged into one.",
             "content": {"text/event-stream": {"example": _EXAMPLE}},
         }
     },
 )
 async def events(service: Service) -> StreamingResponse:
-    """Follow the map as it changes."""
+    """Follow the map and the robots as they change."""
     subscription = service.events.subscribe()
     snapshot = service.state.snapshot
     subscription.put(MapChanged(snapshot.version, snapshot.bounds))
-    stream = _lines(subscription, service.settings.http.event_keepalive_s)
+    poses = PoseNews(service.fleet, service.settings.http.event_keepalive_s)
+    stream = _lines(subscription, poses)
     return StreamingResponse(
-        stream, media_type="text/event-stream", headers={"Cache-Control": "no-store"}
+        stream,
+        media_type="text/event-stream",
+        headers={"Cache-Control": "no-store", "X-Accel-Buffering": "no"},
     )
 
 
-async def _lines(subscription: Subscription, keepalive_s: float) -> AsyncIterator[str]:
+class PoseNews:
+    """Tells one reader which robots moved since it was told last, and at times that none did."""
+
+    def __init__(self, fleet: Fleet, heartbeat_s: float) -> None:
+        self._fleet = fleet
+        self._heartbeat_s = heartbeat_s
+        self._told: dict[str, RobotStatus] = {}
+        self._told_s = float("-inf")
+
+    def take(self) -> str:
+        """Give an event, or nothing when there is no need for one."""
+        # An unchanged robot is the very same object, and most are.
+        moved = [robot for robot in self._fleet.robots() if self._told.get(robot.id) is not robot]
+        now_s = time.monotonic()
+        if not moved and now_s - self._told_s < self._heartbeat_s:
+            return ""
+        self._told_s = now_s
+        self._told.update((robot.id, robot) for robot in moved)
+        data = {"time": time.time(), "robots": [_robot(robot) for robot in moved]}
+        return f"event: poses\ndata: {json.dumps(data)}\n\n"
+
+
+async def _lines(subscription: Subscription, poses: PoseNews) -> AsyncIterator[str]:
     with subscription:
-        async for batch in subscription.batches(keepalive_s):
-            yield "".join(map(_format, batch)) if batch else ": nothing new\n\n"
+        async for batch in subscription.batches(_TICK_S):
+            if text := "".join(map(_format, batch)) + poses.take():
+                yield text
+
+
+def _robot(robot: RobotStatus) -> dict[str, object]:
+    return {
+        "id": robot.id,
+        "pose": robot.pose,
+        "last_seen": robot.last_seen_unix_s,
+        "scans": robot.scans,
+        "alive": robot.alive,
+    }
 
 
 def _format(event: Event) -> str:

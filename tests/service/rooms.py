@@ -12,11 +12,13 @@ BEAMS = 180
 ANGLE_MIN_RAD = -pi + 0.01  # no beam is parallel to a wall
 
 
-def scan_at(x: float = 0.0, y: float = 0.0, *, seq: int = 1, boot: int = 1, **fields) -> Scan:
-    """Every beam ends at a wall."""
+def scan_at(
+    x: float = 0.0, y: float = 0.0, *, seq: int = 1, boot: int = 1, room=(0.0, 0.0), **fields
+) -> Scan:
+    """Every beam ends at a wall; the room may be centred elsewhere."""
     angles = ANGLE_MIN_RAD + 2.0 * pi / BEAMS * np.arange(BEAMS)
     along = np.column_stack([np.cos(angles), np.sin(angles)])
-    position = np.array([x, y])
+    position = np.array([x, y]) - room
     ranges = np.min((np.sign(along) * HALF_M - position) / along, axis=1)
     return Scan(
         pose=Pose2D(x, y, 0.0),

@@ -3,6 +3,7 @@ import json
 import re
 import threading
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -306,8 +307,31 @@ def test_metrics(mapped) -> None:
 def test_page_is_self_contained(client) -> None:
     response = client.get("/")
     assert response.headers["content-type"].startswith("text/html")
-    assert "default-src 'none'" in response.headers["content-security-policy"]
-    assert not re.search(r"(src|href)\s*=|https?://|@import|url\(", response.text)
+    policy = response.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert "http" not in policy
+    parts = re.findall(r"(?:src|href)=\"([^\"]+)\"", response.text)
+    assert len(parts) > 4
+    for part in parts:
+        file = client.get("/" + part)
+        assert file.is_success, part
+        assert (
+            client.get("/" + part, headers={"If-None-Match": file.headers["etag"]}).status_code
+            == 304
+        )
+    assert client.get("/page/palettes.json").json()["dark"]["occupancy"]
+    for stranger in ("../settings.py", "__init__.py", "settings.py"):
+        _problem(client.get("/page/" + stranger), 404)
+
+
+def test_no_file_of_the_page_is_longer_than_it_can_be_read_or_asks_elsewhere() -> None:
+    files = [path for path in Path("service/page").iterdir() if path.is_file()]
+    assert len(files) > 10
+    for path in files:
+        text = path.read_text(encoding="utf-8").replace("http://www.w3.org/2000/svg", "")
+        assert text.count("\n") < 400
+        assert not re.search(r"https?://|@import|url\(", text), path
 
 
 def test_unknown_paths_and_methods(client) -> None:

@@ -1,0 +1,140 @@
+// The picture of the map: tiles that are asked for again only where the map has changed, and
+// replaced only when the service says, by their ETag, that they differ.
+
+const AT_ONCE = 4;
+const TRIES = 6;
+const RETINA = window.devicePixelRatio > 1.3 ? 1 : 0;
+
+export const LiveTiles = L.GridLayer.extend({
+  options: {
+    tileSize: 256 >> RETINA,
+    keepBuffer: 3,
+    updateWhenIdle: false,
+    updateInterval: 120,
+    minZoom: -4,
+    maxZoom: 9,
+    className: "tiles",
+  },
+
+  initialize(layer, theme) {
+    L.GridLayer.prototype.initialize.call(this);
+    this._look = { layer, theme };
+    this._waiting = new Set();
+    this._busy = 0;
+    this.on("tileunload", ({ tile }) => {
+      this._waiting.delete(tile);
+      tile.live.abort.abort();
+    });
+  },
+
+  /** Show another layer or theme; what is on the screen stays until its successor is there. */
+  look(layer, theme) {
+    this._look = { layer, theme };
+    for (const { el } of Object.values(this._tiles)) el.live.etag = "";
+    this.changed(null);
+  },
+
+  /** Ask again for the tiles in a box (L.LatLngBounds); null is all. */
+  changed(box) {
+    for (const { el, coords } of Object.values(this._tiles)) {
+      if (!box || this._tileCoordsToBounds(coords).intersects(box)) this._waiting.add(el);
+    }
+    this._work();
+  },
+
+  /** Whether every tile on the screen is as new as was told. */
+  settled() {
+    return this._busy === 0 && this._waiting.size === 0 && !this._loadingTiles();
+  },
+
+  createTile(coords, done) {
+    const tile = document.createElement("img");
+    tile.className = "tile";
+    tile.alt = "";
+    tile.live = { coords, done, etag: "", tries: 0, abort: new AbortController() };
+    this._waiting.add(tile);
+    this._work();
+    return tile;
+  },
+
+  _loadingTiles() {
+    return Object.values(this._tiles).some((tile) => !tile.loaded);
+  },
+
+  _work() {
+    while (this._busy < AT_ONCE && this._waiting.size > 0) {
+      const tile = this._nearest();
+      this._waiting.delete(tile);
+      this._busy += 1;
+      this._load(tile).catch(() => this._again(tile)).finally(() => {
+        this._busy -= 1;
+        this._work();
+      });
+    }
+  },
+
+  /** New tiles first, from the middle of the screen outwards. */
+  _nearest() {
+    const size = this.getTileSize();
+    const middle = this._map.project(this._map.getCenter()).unscaleBy(size);
+    let best = null;
+    let least = Infinity;
+    for (const tile of this._waiting) {
+      const { x, y } = tile.live.coords;
+      const far = Math.hypot(x + 0.5 - middle.x, y + 0.5 - middle.y);
+      const rank = far + (tile.live.done ? 0 : 1000);
+      if (rank < least) [best, least] = [tile, rank];
+    }
+    return best;
+  },
+
+  async _load(tile) {
+    const { live } = tile;
+    const { x, y, z } = live.coords;
+    const { layer, theme } = this._look;
+    const address = `v1/tiles/${layer}/${z + RETINA}/${x}/${y}.png?theme=${theme}`;
+    // The browser sends the ETag along, and answers from its cache when nothing changed.
+    const answer = await fetch(address, { signal: live.abort.signal });
+    if (!answer.ok) throw new Error(`${answer.status}`);
+    const etag = answer.headers.get("ETag");
+    live.tries = 0;
+    if (etag !== live.etag) {
+      live.etag = etag;
+      await show(tile, await answer.blob());
+    }
+    const { done } = live;
+    live.done = null;
+    done?.(null, tile);
+  },
+
+  _again(tile) {
+    const { live } = tile;
+    if (live.abort.signal.aborted) return;
+    live.tries += 1;
+    if (live.tries > TRIES) {
+      live.done?.(null, tile); // the next change or reconnection asks again
+      live.done = null;
+      live.tries = 0;
+      return;
+    }
+    setTimeout(() => {
+      if (live.abort.signal.aborted) return;
+      this._waiting.add(tile);
+      this._work();
+    }, 300 * 2 ** live.tries);
+  },
+});
+
+async function show(tile, blob) {
+  const address = URL.createObjectURL(blob);
+  try {
+    // Decoded before it is swapped in, so that a refresh never flickers.
+    const picture = new Image();
+    picture.src = address;
+    await picture.decode();
+    tile.src = address;
+    await tile.decode();
+  } finally {
+    URL.revokeObjectURL(address);
+  }
+}
