@@ -208,7 +208,8 @@ def predict(expert: Expert, points: _Floats, cross: Cross = cross) -> tuple[_Flo
     """One expert's mean and variance at points (m, 2), (m,) each (eq. 8-9)."""
     h, o = expert.hyperparameters, expert.observations
     signal = h.signal_std**2
-    k = signal * cross(o.kinds, o.geometry, points, h.length_scale_m)
+    k = cross(o.kinds, o.geometry, points, h.length_scale_m)
+    k *= signal
     explained = np.einsum("ij,ij->i", k @ expert.precision, k)
     return k @ expert.weights, np.clip(signal - explained, 1e-9 * signal, signal)
 

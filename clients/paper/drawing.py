@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from numpy.typing import NDArray
 
 from clients.paper.experiment import BOUNDS_M
@@ -25,7 +26,7 @@ _DPI = 110
 def new_figure(rows: int, columns: int) -> tuple[Figure, Any]:
     """Give a figure and its axes, (columns,) or (rows, columns)."""
     size = (_PANEL_IN[0] * columns, _PANEL_IN[1] * rows + 0.4)
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=size, layout=ConstrainedLayoutEngine(h_pad=0.12))
     return figure, figure.subplots(rows, columns)
 
 
@@ -67,7 +68,7 @@ def image(
 
 def colour_bar(figure: Figure, axes: Axes, shown: AxesImage, label: str) -> None:
     """Say what the colours mean."""
-    figure.colorbar(shown, ax=axes, shrink=0.85, label=label)
+    figure.colorbar(shown, ax=axes, shrink=0.75, aspect=18, label=label)
 
 
 def cluster_colours(count: int) -> list[Any]:

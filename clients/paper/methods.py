@@ -25,7 +25,7 @@ FREE_NOISE_STD = 0.1
 RULE = LearningRule(spread=0.2, reach=2.0)
 SEGMENT_M = 2.0
 """Longest piece of a beam where beams are cut; whole beams are the paper's."""
-LONGEST_LINE_M = 3.0
+LONGEST_LINE_M = 2.0
 DP_EXTENT_M = 1.0
 
 GRID_RESOLUTION_M = 0.2
