@@ -6,6 +6,7 @@ pose there: this is where the two meet, and where the motion during a sweep is t
 
 from dataclasses import dataclass, replace
 from math import acos, pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,17 @@ _STILL_RAD = 1e-4
 _SURFACE_SHARE = 0.1
 
 Floats = NDArray[np.float64]
+
+
+class Stream(NamedTuple):
+    """Which scan of which stream it is; fields as in `Scan`."""
+
+    boot: int = 0
+    seq: int = 0
+
+
+_UNKNOWN = (0.0,) * 6
+_NO_STREAM = Stream()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +67,12 @@ class Sweep:
         return self.stamp_ns + round(duration_s * _NANOSECONDS)
 
 
-def to_scan(sweep: Sweep, pose: Rigid, pose_covariance: tuple[float, ...] = (0.0,) * 6) -> Scan:
+def to_scan(
+    sweep: Sweep,
+    pose: Rigid,
+    pose_covariance: tuple[float, ...] = _UNKNOWN,
+    stream: Stream = _NO_STREAM,
+) -> Scan:
     """Give the sweep as measured from one place.
 
     A sensor that hangs upside down turns the other way when seen from above.
@@ -64,6 +81,7 @@ def to_scan(sweep: Sweep, pose: Rigid, pose_covariance: tuple[float, ...] = (0.0
         sweep: as measured.
         pose: of the sensor in the map.
         pose_covariance: as in `Scan`.
+        stream: likewise.
 
     Raises:
         InvalidScanError: the sensor is tilted (``tilted``), or the sweep makes no valid scan.
@@ -85,6 +103,8 @@ def to_scan(sweep: Sweep, pose: Rigid, pose_covariance: tuple[float, ...] = (0.0
         range_min_m=sweep.range_min_m,
         range_max_m=sweep.range_max_m,
         stamp_ns=sweep.stamp_ns,
+        boot=stream.boot,
+        seq=stream.seq,
         time_increment_s=sweep.time_increment_s,
         scan_time_s=sweep.scan_time_s,
         pose_covariance=pose_covariance,
@@ -93,7 +113,11 @@ def to_scan(sweep: Sweep, pose: Rigid, pose_covariance: tuple[float, ...] = (0.0
 
 
 def to_still_scan(
-    sweep: Sweep, first: Rigid, last: Rigid, pose_covariance: tuple[float, ...] = (0.0,) * 6
+    sweep: Sweep,
+    first: Rigid,
+    last: Rigid,
+    pose_covariance: tuple[float, ...] = _UNKNOWN,
+    stream: Stream = _NO_STREAM,
 ) -> Scan:
     """Give the sweep as it would have been measured from where its first beam was.
 
@@ -107,11 +131,12 @@ def to_still_scan(
         first: pose of the sensor in the map at the first beam.
         last: the same at the last beam.
         pose_covariance: as in `Scan`.
+        stream: likewise.
 
     Raises:
         InvalidScanError: as `to_scan`.
     """
-    scan = to_scan(sweep, first, pose_covariance)
+    scan = to_scan(sweep, first, pose_covariance, stream)
     end = planar(last)
     turn_rad = (end.yaw_rad - scan.pose.yaw_rad + pi) % (2.0 * pi) - pi
     count = scan.ranges_m.size

@@ -2,13 +2,13 @@
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from gpom_core.errors import InvalidScanError, UnknownPoseError
 from gpom_core.frames import FrameTree
 from gpom_core.ros.attachment import Attachment
 from gpom_core.scan import Scan
-from gpom_core.sweep import Sweep, to_scan, to_still_scan
+from gpom_core.sweep import Stream, Sweep, to_scan, to_still_scan
 
 _PATIENCE_S = 0.5  # transforms come a little after the scans; that alone is no problem
 
@@ -139,21 +139,20 @@ class SensorStream:
     def _place(self, head: _Waiting, covariance: tuple[float, ...], expired: bool) -> Scan:
         sweep, placing = head.sweep, self._placing
         first = self._tree.lookup(placing.map_frame, sweep.frame, sweep.stamp_ns)
-        end_ns = sweep.last_stamp_ns
-        if end_ns == sweep.stamp_ns or not placing.correct_motion:
-            scan = to_scan(sweep, first, covariance)
-        else:
-            try:
-                last = self._tree.lookup(placing.map_frame, sweep.frame, end_ns)
-                scan = to_still_scan(sweep, first, last, covariance)
-            except UnknownPoseError:
-                if not expired:
-                    raise
-                self._tally.uncorrected += 1
-                scan = to_scan(sweep, first, covariance)
         # Numbers of a publisher that is gone are not shifted by what was dropped since.
         shift = self._dropped_here if head.boot == self._boot else 0
-        return replace(scan, boot=head.boot, seq=max(head.seq - shift, 1))
+        number = Stream(head.boot, max(head.seq - shift, 1))
+        end_ns = sweep.last_stamp_ns
+        if end_ns == sweep.stamp_ns or not placing.correct_motion:
+            return to_scan(sweep, first, covariance, number)
+        try:
+            last = self._tree.lookup(placing.map_frame, sweep.frame, end_ns)
+        except UnknownPoseError:
+            if not expired:
+                raise
+            self._tally.uncorrected += 1
+            return to_scan(sweep, first, covariance, number)
+        return to_still_scan(sweep, first, last, covariance, number)
 
     def _drop(self, reason: str, problem: str, unix_s: float) -> None:
         head = self._pop()
