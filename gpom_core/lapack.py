@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import get_cython_function_address, intrinsic
+
+from gpom_core.jit import compiled
 
 _POTRF: int = get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf")
 _POTRI: int = get_cython_function_address("scipy.linalg.cython_lapack", "dpotri")
@@ -36,7 +38,7 @@ def _call5(typing_context: Any, address: Any, a: Any, b: Any, c: Any, d: Any, e:
     return signature, generate
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def inverse_spd(k: Any, addresses: Any) -> float:
     """Replace a symmetric positive definite matrix (n, n) by its inverse.
 

@@ -113,4 +113,4 @@ def gap_to_tile(tx: int, ty: int, x: float, y: float, cell_m: float) -> float:
     edge = TILE_CELLS * cell_m
     dx = max(tx * edge - x, x - (tx + 1) * edge, 0.0)
     dy = max(ty * edge - y, y - (ty + 1) * edge, 0.0)
-    return np.sqrt(dx * dx + dy * dy)
+    return float(np.sqrt(dx * dx + dy * dy))

@@ -127,7 +127,7 @@ def test_experts_are_no_larger_than_allowed() -> None:
 
 
 def test_jobs_are_given_out_once_the_most_changed_first() -> None:
-    mapper = mapper_of(*tour(4))
+    mapper = mapper_of(*tour(4), max_observations=2000)  # none is split on the way
     dirty = mapper.dirty_count
     first = mapper.take_jobs(3)
     rest = mapper.take_jobs(ALL)
@@ -218,7 +218,7 @@ def failing(broken: int) -> Callable[[TrainingJob], object]:
 def test_an_expert_that_cannot_be_trained_holds_up_no_other(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    mapper = mapper_of(*tour(3))
+    mapper = mapper_of(*tour(3), max_observations=2000)
     broken = min(mapper.dirty_ids())
     with monkeypatch.context() as patch:
         patch.setattr(TrainingJob, "run", failing(broken))
@@ -239,7 +239,7 @@ class BrokenExecutor(Executor):
 
 
 def test_an_executor_that_breaks_loses_no_expert() -> None:
-    mapper = mapper_of(*tour(3))
+    mapper = mapper_of(*tour(3), max_observations=2000)  # none is split on the way
     dirty = mapper.dirty_ids()
     with pytest.raises(OSError, match="gone"):
         mapper.train(BrokenExecutor())
