@@ -10,7 +10,7 @@ from gpom_core.observations import Observations, gather, merge_areas
 from gpom_core.rows import cell_key
 from tests.gpom_core.synthetic import look, points_observed, scan_of, tour
 
-CELL_M = 0.1
+CELL_M, RATIO = 0.1, 3.0
 
 
 def keys(cells: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ def merged(
     """Low corner, edge and count of the merged areas, in cells, in order."""
     n = len(cells)
     geometry, total, _ = merge_areas(
-        keys(cells), np.full(n, count), np.full(n, near), CELL_M, levels, 0.2, cap
+        keys(cells), np.full(n, count), np.full(n, near), CELL_M, levels, RATIO, cap
     )
     np.testing.assert_allclose(*(geometry[:, 1] - geometry[:, 0]).T, atol=1e-12)
     edge = geometry[:, 1, 0] - geometry[:, 0, 0]
@@ -70,7 +70,7 @@ def test_a_square_with_a_hole_does_not_merge() -> None:
     assert merged(block(0, 0, 2)[:3]) == [(0, 0, 1, 1), (0, 1, 1, 1), (1, 0, 1, 1)]
 
 
-@pytest.mark.parametrize(("near", "edge"), [(0.25, 1), (0.31, 2), (0.39, 2), (0.41, 4), (0.61, 8)])
+@pytest.mark.parametrize(("near", "edge"), [(0.29, 1), (0.31, 2), (0.59, 2), (0.61, 4), (1.21, 8)])
 def test_areas_are_coarse_only_far_from_surfaces(near: float, edge: int) -> None:
     areas = merged(block(0, 0, 8), near)
     assert {area[2] for area in areas} == {edge}
@@ -79,7 +79,7 @@ def test_areas_are_coarse_only_far_from_surfaces(near: float, edge: int) -> None
 def test_the_weight_is_the_sum_of_the_capped_counts() -> None:
     geometry, total, capped = merge_areas(
         keys(block(0, 0, 2)), np.array([1.0, 50.0, 500.0, 2.0]), np.full(4, np.inf),
-        CELL_M, 1, 0.2, 100.0,
+        CELL_M, 1, RATIO, 100.0,
     )  # fmt: skip
     assert len(geometry) == 1
     assert total.tolist() == [553.0]

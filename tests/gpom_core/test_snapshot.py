@@ -250,7 +250,7 @@ def test_the_order_in_which_experts_came_does_not_matter(
 def test_a_committee_without_an_expert_is_one_that_never_had_it(
     snapshot: Snapshot, points: np.ndarray
 ) -> None:
-    gone, *others = snapshot.members.values()
+    *others, gone = sorted(snapshot.members.values(), key=lambda m: len(m.expert.observations))
     without = snapshot.swapped([], [gone.cluster_id])
     never = replace(snapshot, members={}, sectors={}).swapped(others)
     assert gone.cluster_id not in without.members

@@ -8,7 +8,7 @@ from gpom_core.beams import BOX
 from gpom_core.observations import merge_areas
 from gpom_core.rows import cell_key
 
-CELL_M, COARSEN_FROM_M, CAP = 0.1, 0.2, 50.0
+CELL_M, RATIO, CAP = 0.1, 3.0, 50.0
 
 
 @st.composite
@@ -35,7 +35,7 @@ def lattices(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     count = rng.uniform(0.01, 2.0 * CAP, len(cells))
     hit = np.array(draw(st.tuples(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))))
     near = np.hypot(*((cells + 0.5) * CELL_M - hit).T)
-    near[near > 0.8] = np.inf
+    near[near > 2.4] = np.inf
     return cells, count, near
 
 
@@ -43,7 +43,7 @@ def lattices(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_merging_keeps_area_and_counts_and_is_fine_near_hits(lattice, levels: int) -> None:
     cells, count, near = lattice
     keys = np.array([cell_key(BOX, int(x), int(y)) for x, y in cells], np.int64)
-    geometry, total, capped = merge_areas(keys, count, near, CELL_M, levels, COARSEN_FROM_M, CAP)
+    geometry, total, capped = merge_areas(keys, count, near, CELL_M, levels, RATIO, CAP)
 
     low = np.round(geometry[:, 0] / CELL_M).astype(int)
     edge = np.round((geometry[:, 1] - geometry[:, 0]) / CELL_M).astype(int)
@@ -61,7 +61,7 @@ def test_merging_keeps_area_and_counts_and_is_fine_near_hits(lattice, levels: in
         np.testing.assert_allclose(total[box], count[inside].sum())
         np.testing.assert_allclose(capped[box], np.minimum(count[inside], CAP).sum())
         if size > 1:
-            assert near[inside].min() > COARSEN_FROM_M + CELL_M * size / 2
+            assert near[inside].min() > RATIO * CELL_M * size / 2
     assert not number
     assert len(seen) == len(cells)
 
@@ -74,9 +74,7 @@ def test_merging_does_not_depend_on_the_order_of_cells(lattice, levels: int, ran
     random.shuffle(order)
 
     def areas(of: list[int]) -> dict[tuple[float, ...], float]:
-        geometry, total, _ = merge_areas(
-            keys[of], count[of], near[of], CELL_M, levels, COARSEN_FROM_M, CAP
-        )
+        geometry, total, _ = merge_areas(keys[of], count[of], near[of], CELL_M, levels, RATIO, CAP)
         return {tuple(g.ravel()): t for g, t in zip(np.round(geometry, 6), total, strict=True)}
 
     a, b = areas(order), areas(sorted(order))
