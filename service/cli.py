@@ -20,6 +20,10 @@ def serve(
         Path | None, typer.Option(help="where the map is kept over restarts [in memory]")
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file with settings")] = None,
+    insecure: Annotated[
+        bool,
+        typer.Option("--insecure", help="let others reach it without any credentials [refused]"),
+    ] = False,
     print_config: Annotated[
         bool, typer.Option("--print-config", help="print all settings as a YAML file, and end")
     ] = False,
@@ -34,6 +38,7 @@ def serve(
 
     flags = {
         "data_dir": data_dir,
+        "access": _given(insecure=insecure or None),
         "http": _given(host=host, port=port),
         "zenoh": _given(listen=_named(zenoh_listen), connect=_named(zenoh_connect)),
     }
@@ -52,7 +57,7 @@ def serve(
     code = 0
     try:
         server.run(settings, announce=typer.echo)
-    except (JournalError, MapFileError, SourceError) as error:
+    except (ConfigurationError, JournalError, MapFileError, SourceError) as error:
         code = _failure(str(error)).exit_code
     server.leave(code)
     raise typer.Exit(code)

@@ -2,6 +2,7 @@
 
 GpomError
 ├── BusyError              more work than the service takes on at once; come back later
+├── ForbiddenError         the token of the request does not allow this
 ├── FlushTimeoutError      not everything received was integrated and trained in time
 ├── JournalError           scans could not be stored, so they were not accepted
 ├── MapFileError           a checkpoint or an exported map cannot be read or written
@@ -10,6 +11,7 @@ GpomError
 ├── PayloadTooLargeError   more points, cells or bytes than one request may have
 ├── SourceError            the way by which scans arrive could not be opened
 ├── StoppingError          the service is shutting down
+├── UnauthorizedError      a token is needed, and none or a wrong one came
 └── UnsupportedMediaError  a request came in a form that is not understood
 
 `service.http.problems` gives each its HTTP status.
@@ -32,6 +34,10 @@ class BusyError(GpomError):
 
 class FlushTimeoutError(GpomError):
     """Not everything received was integrated and trained in time."""
+
+
+class ForbiddenError(GpomError):
+    """The token of the request does not allow this."""
 
 
 class JournalError(GpomError):
@@ -68,6 +74,10 @@ class SourceError(GpomError):
 
 class StoppingError(GpomError):
     """The service is shutting down."""
+
+
+class UnauthorizedError(GpomError):
+    """A token is needed, and none or a wrong one came."""
 
 
 class UnsupportedMediaError(GpomError):

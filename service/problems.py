@@ -19,6 +19,7 @@ from gpom_core.image import InvalidImageError
 from service.errors import (
     BusyError,
     FlushTimeoutError,
+    ForbiddenError,
     JournalError,
     MapFileError,
     NotAcceptableError,
@@ -26,6 +27,7 @@ from service.errors import (
     PayloadTooLargeError,
     SourceError,
     StoppingError,
+    UnauthorizedError,
     UnsupportedMediaError,
 )
 
@@ -44,6 +46,8 @@ KINDS: dict[type[GpomError], Kind] = {
     BusyError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "busy", "Too much at once"),
     ConfigurationError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "configuration", "Bad settings"),
     FlushTimeoutError: Kind(HTTPStatus.GATEWAY_TIMEOUT, "flush-timeout", "Not done in time"),
+    ForbiddenError: Kind(HTTPStatus.FORBIDDEN, "forbidden", "Not allowed"),
+    UnauthorizedError: Kind(HTTPStatus.UNAUTHORIZED, "unauthorized", "Token needed"),
     InvalidQueryError: Kind(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-query", "Invalid query"),
     InvalidScanError: Kind(HTTPStatus.UNPROCESSABLE_ENTITY, "invalid-scan", "Invalid scan"),
     InvalidTransformError: Kind(
@@ -105,6 +109,8 @@ def problem_of(error: BaseException) -> Problem:
     kind = next(KINDS[cls] for cls in type(error).__mro__ if cls in KINDS)
     if isinstance(error, BusyError):
         return Problem(kind, str(error), headers={"Retry-After": str(error.retry_after_s)})
+    if isinstance(error, UnauthorizedError):
+        return Problem(kind, str(error), headers={"WWW-Authenticate": "Bearer"})
     if isinstance(error, NotReadyError):
         return Problem(kind, str(error), {"troubles": error.troubles}, {"Retry-After": "1"})
     return Problem(kind, str(error))

@@ -13,6 +13,7 @@ from types import FrameType
 
 import uvicorn
 
+from service.access import check_exposure
 from service.errors import SourceError
 from service.http.app import create_app
 from service.map_service import MapService
@@ -32,8 +33,10 @@ def run(settings: Settings, announce: Callable[[str], None]) -> None:
         announce: told once, when the service can be reached, where that is.
 
     Raises:
+        ConfigurationError: an address can be reached by strangers, and nothing keeps them out.
         SourceError: an address is taken or cannot be listened on; nothing is left running.
     """
+    check_exposure(settings)
     listener = _listen(settings.http)
     with listener:
         asyncio.run(_serve(settings, listener, announce))
@@ -63,13 +66,14 @@ async def _serve(
         access_log=False,
         timeout_graceful_shutdown=_GRACE_S,
         server_header=False,
+        ssl_certfile=settings.http.tls_certificate,
+        ssl_keyfile=settings.http.tls_key,
     )
 
     def announce_all() -> None:
         zenoh = ",".join(service.endpoints) or "none"
-        announce(
-            f"gpom: listening http={_url(listener)} zenoh={zenoh} prefix={settings.zenoh.prefix}"
-        )
+        http = _url(listener, settings.http)
+        announce(f"gpom: listening http={http} zenoh={zenoh} prefix={settings.zenoh.prefix}")
 
     async with app.router.lifespan_context(app):
         server = _Server(config, on_started=announce_all, on_stopping=service.hang_up)
@@ -130,6 +134,7 @@ def _listen(http: HttpSettings) -> socket.socket:
     return listener
 
 
-def _url(listener: socket.socket) -> str:
+def _url(listener: socket.socket, http: HttpSettings) -> str:
     host, port = listener.getsockname()[:2]
-    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+    scheme = "http" if http.tls_certificate is None else "https"
+    return f"{scheme}://[{host}]:{port}" if ":" in host else f"{scheme}://{host}:{port}"

@@ -8,7 +8,15 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, field_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    SecretStr,
+    field_validator,
+)
 from pydantic_settings import NoDecode
 
 from gpom_core.config import MapConfig
@@ -34,6 +42,10 @@ def _split(value: Any) -> Any:
 Endpoints = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split)]
 
 
+Tokens = Annotated[tuple[SecretStr, ...], NoDecode, BeforeValidator(_split)]
+TOKEN_LENGTH_MIN = 16
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -43,6 +55,8 @@ class HttpSettings(_Section):
 
     host: str = Field("127.0.0.1", description="address to listen on; 0.0.0.0 is every network")
     port: int = Field(8080, ge=0, le=65_535, description="0 picks a free one")
+    tls_certificate: Path | None = Field(None, description="PEM file; with it HTTP is HTTPS")
+    tls_key: Path | None = Field(None, description="PEM file with the key of the certificate")
     query_points_max: int = Field(1_000_000, ge=1, description="points of one query")
     grid_cells_max: int = Field(4_000_000, ge=1, description="cells of one raster")
     body_bytes_max: int = Field(64 * 2**20, ge=1024, description="bytes of one request body")
@@ -59,6 +73,29 @@ class HttpSettings(_Section):
     event_keepalive_s: float = Field(2.0, gt=0.0, description="a silent stream says so this often")
 
 
+class AccessSettings(_Section):
+    """Who may use the HTTP interface. Without tokens: everybody who can reach it."""
+
+    read_tokens: Tokens = Field((), description="bearer tokens that may ask")
+    write_tokens: Tokens = Field((), description="those that may also flush")
+    admin_tokens: Tokens = Field((), description="those that may do everything")
+    insecure: bool = Field(
+        False, description="allow addresses that others can reach without any credentials"
+    )
+
+    @property
+    def has_tokens(self) -> bool:
+        """Whether anybody needs a token."""
+        return bool(self.read_tokens or self.write_tokens or self.admin_tokens)
+
+    @field_validator("read_tokens", "write_tokens", "admin_tokens")
+    @classmethod
+    def _are_long(cls, tokens: tuple[SecretStr, ...]) -> tuple[SecretStr, ...]:
+        if any(len(token.get_secret_value()) < TOKEN_LENGTH_MIN for token in tokens):
+            raise ValueError(f"expected tokens of at least {TOKEN_LENGTH_MIN} characters")
+        return tokens
+
+
 class ZenohSettings(_Section):
     """The session by which scans and queries of robots arrive."""
 
@@ -67,6 +104,16 @@ class ZenohSettings(_Section):
         ("tcp/127.0.0.1:7447",), description="endpoints to listen on; [] for none"
     )
     connect: Endpoints = Field((), description="routers or peers to connect to")
+    robots: Endpoints = Field(
+        (),
+        description="names of robots; if given, each may publish under its own name only, and "
+        "says who it is by user name or certificate",
+    )
+    passwords_file: Path | None = Field(
+        None, description="lines user:password, one for each robot that may connect"
+    )
+    user: str | None = Field(None, description="by which the service is known to a router")
+    password: SecretStr | None = Field(None, description="of that user")
     options: dict[str, JsonValue] = Field(
         {}, description="further zenoh configuration, path: value, such as transport/link/tls/…"
     )
@@ -134,6 +181,7 @@ class Settings(_Section):
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field("info")
     http: HttpSettings = HttpSettings()
+    access: AccessSettings = AccessSettings()
     zenoh: ZenohSettings = ZenohSettings()
     ros: RosSettings = RosSettings()
     ingest: IngestSettings = IngestSettings()

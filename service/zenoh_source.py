@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 import zenoh
 
+from service.access import access_control
 from service.errors import SourceError
 from service.problems import problem_of
 from service.sequences import Cursor, SensorKey
@@ -207,6 +208,7 @@ def _configuration(settings: ZenohSettings) -> zenoh.Config:
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
         "adminspace/enabled": True,  # tells which port was picked for port 0
+        **_identities(settings),
         **settings.options,
     }
     config = zenoh.Config()
@@ -214,9 +216,25 @@ def _configuration(settings: ZenohSettings) -> zenoh.Config:
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            message = f"zenoh refuses the option {path}: {json.dumps(value)}: {error}"
+            shown = "(hidden)" if "password" in path else json.dumps(value)
+            message = f"zenoh refuses the option {path}: {shown}: {error}"
             raise SourceError(message) from error
     return config
+
+
+def _identities(settings: ZenohSettings) -> dict[str, Any]:
+    """Who the service is, and who may do what."""
+    values: dict[str, Any] = {}
+    if settings.passwords_file is not None:
+        values["transport/auth/usrpwd/dictionary_file"] = str(settings.passwords_file)
+    if settings.user is not None:
+        password = "" if settings.password is None else settings.password.get_secret_value()
+        values["transport/auth/usrpwd/user"] = settings.user
+        values["transport/auth/usrpwd/password"] = password
+    if settings.robots:
+        trusted = () if settings.user is None else (settings.user,)
+        values["access_control"] = access_control(settings.prefix, settings.robots, trusted)
+    return values
 
 
 def _locators(session: zenoh.Session) -> tuple[str, ...]:

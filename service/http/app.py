@@ -11,7 +11,8 @@ from fastapi.openapi.utils import get_openapi
 
 from service.archive import Archive
 from service.clock import SystemClock
-from service.http import errors, grids, pages, queries, statuses, streams, tiles
+from service.http import errors, experts, grids, pages, queries, statuses, streams, tiles
+from service.http.guard import Guard
 from service.http.observe import Observe
 from service.map_service import MapService, Ports
 from service.ros.gateway import RosGateway
@@ -50,8 +51,11 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     )
     app.state.service = service
     app.add_middleware(Observe, metrics=service.metrics)
+    app.add_middleware(Guard, access=settings.access)
     errors.install(app)
-    routers = [module.router for module in (queries, grids, tiles, statuses, streams, pages)]
+    routers = [
+        module.router for module in (queries, grids, tiles, experts, statuses, streams, pages)
+    ]
     for router in routers:
         app.include_router(router)
     app.state.routes = [route for router in routers for route in router.routes]

@@ -1,0 +1,134 @@
+"""What may be reached from where: refuses to open the map to a network without saying so."""
+
+import ipaddress
+from typing import Any
+
+from gpom_core.errors import ConfigurationError
+from service.settings import Settings, ZenohSettings
+
+_LOCAL_NAMES = frozenset({"localhost", "localhost.localdomain"})
+_LOCAL_LINKS = ("unixsock-stream/", "unixpipe/", "vsock/")
+
+
+def check_exposure(settings: Settings) -> None:
+    """Refuse addresses that others can reach when nothing asks them who they are.
+
+    Raises:
+        ConfigurationError: says which address, and what to set.
+    """
+    if settings.access.insecure:
+        return
+    if not is_loopback(settings.http.host) and not settings.access.has_tokens:
+        message = (
+            f"http.host {settings.http.host} can be reached from other machines, and no tokens are "
+            "set. Set access.read_tokens, write_tokens or admin_tokens, or say access.insecure: "
+            "true (--insecure) when something else keeps strangers out"
+        )
+        raise ConfigurationError(message)
+    exposed = [endpoint for endpoint in settings.zenoh.listen if not _is_local(endpoint)]
+    if exposed and not _asks_who(settings.zenoh):
+        message = (
+            f"zenoh.listen {', '.join(exposed)} can be reached from other machines, and robots "
+            "need not say who they are. Set zenoh.passwords_file or certificates in zenoh.options, "
+            "or say access.insecure: true (--insecure) when something else keeps strangers out"
+        )
+        raise ConfigurationError(message)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address is reached from this machine only."""
+    if host.lower() in _LOCAL_NAMES:
+        return True
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+def _is_local(endpoint: str) -> bool:
+    if endpoint.startswith(_LOCAL_LINKS):
+        return True
+    address = endpoint.partition("/")[2].partition("#")[0].partition("?")[0]
+    return is_loopback(address.rpartition(":")[0])
+
+
+def _asks_who(zenoh: ZenohSettings) -> bool:
+    options = zenoh.options
+    mutual: Any = options.get("transport/link/tls/enable_mtls", False)
+    return zenoh.passwords_file is not None or mutual is True
+
+
+def access_control(
+    prefix: str, robots: tuple[str, ...], trusted: tuple[str, ...]
+) -> dict[str, Any]:
+    """The rules by which a robot speaks under its own name only, as zenoh's `access_control`.
+
+    A subject is known by the name of its user or by the common name of its certificate, which is
+    the name of the robot. They hold where they are configured: in the service for robots that
+    connect to it, in a router for those that connect there.
+
+    Args:
+        prefix: of the site's keys.
+        robots: names.
+        trusted: users that may do everything, such as the service on a router.
+    """
+    rules = [
+        _rule("answers", "egress", _DECLARATIONS, [f"{prefix}/**"]),
+        _rule("map", "ingress", ["query"], [f"{prefix}/_map/query"]),
+        _rule("map-reply", "egress", ["reply"], [f"{prefix}/_map/query"]),
+        _rule(
+            "map-alive",
+            "ingress",
+            ["declare_liveliness_subscriber", "liveliness_query"],
+            [f"{prefix}/_map/alive"],
+        ),
+        _rule("map-token", "egress", ["liveliness_token"], [f"{prefix}/_map/alive"]),
+        _rule("all", None, _ALL, ["**"]),
+    ]
+    subjects, policies = [], []
+    for robot in robots:
+        own = f"{prefix}/{robot}"
+        rules += [
+            _rule(f"{robot}-scan", "ingress", ["put"], [f"{own}/scan/*"]),
+            _rule(f"{robot}-alive", "ingress", ["liveliness_token"], [f"{own}/alive"]),
+            _rule(f"{robot}-ask", "ingress", ["query"], [f"{own}/cursor/*"]),
+            _rule(f"{robot}-hear", "ingress", ["declare_subscriber"], [f"{own}/ack/*"]),
+            _rule(f"{robot}-ack", "egress", ["put"], [f"{own}/ack/*"]),
+            _rule(f"{robot}-reply", "egress", ["reply"], [f"{own}/cursor/*"]),
+        ]
+        kinds = ("usernames", "cert_common_names")
+        subjects += [{"id": f"{robot}-{kind}", kind: [robot]} for kind in kinds]
+        policies.append(
+            {
+                "rules": [*_SHARED, *(f"{robot}-{what}" for what in _OWN)],
+                "subjects": [f"{robot}-usernames", f"{robot}-cert_common_names"],
+            }
+        )
+    for user in trusted:
+        subjects.append({"id": f"trusted-{user}", "usernames": [user]})
+        policies.append({"rules": ["all"], "subjects": [f"trusted-{user}"]})
+    return {
+        "enabled": True,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }
+
+
+_DECLARATIONS = ["declare_subscriber", "declare_queryable", "declare_liveliness_subscriber"]
+_ALL = [
+    *_DECLARATIONS, "put", "delete", "query", "reply", "liveliness_token", "liveliness_query",
+]  # fmt: skip
+_SHARED = ["answers", "map", "map-reply", "map-alive", "map-token"]
+_OWN = ["scan", "alive", "ask", "hear", "ack", "reply"]
+
+
+def _rule(name: str, flow: str | None, messages: list[str], keys: list[str]) -> dict[str, Any]:
+    return {
+        "id": name,
+        "permission": "allow",
+        "flows": ["ingress", "egress"] if flow is None else [flow],
+        "messages": messages,
+        "key_exprs": keys,
+    }
