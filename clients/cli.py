@@ -53,6 +53,7 @@ _OWN_COMMANDS = dict(
         _own("record", "clients.record:record"),
         _own("doctor", "clients.doctor:doctor"),
         _own("evaluate", "clients.evaluate:evaluate_command"),
+        _own("tune", "clients.tune:tune"),
         _own("paper", "clients.paper.command:paper"),
     ]
 )
