@@ -7,7 +7,7 @@ from fastapi import APIRouter, Query, Response
 
 from gpom_core.errors import InvalidQueryError
 from gpom_core.member import Bounds
-from gpom_core.snapshot import Prediction, Snapshot, grid_shape
+from gpom_core.snapshot import Snapshot, grid_shape
 from service import nav2, piecewise, render
 from service.errors import PayloadTooLargeError
 from service.http.context import VERSION_HEADER, Service
@@ -21,7 +21,8 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 _ANSWER: dict[int | str, dict[str, Any]] = {
     200: {
         "description": "One cell a pixel, evaluated at its centre. npy: float64 (rows, columns), "
-        "row 0 at ymin. png: ymax on top. nav2: zip of PGM and YAML for map_server.",
+        "row 0 at ymin. png: ymax on top. nav2: zip of "
+        "pictures and YAML for map_server, occupancy as map.yaml and variance as variance.yaml.",
         "content": dict.fromkeys(_MEDIA.values(), _BINARY),
         "headers": {VERSION_HEADER: {"schema": {"type": "integer"}}},
     }
@@ -41,6 +42,9 @@ async def grid(
     resolution: Annotated[float, Query(description="edge of a cell in m")] = 0.1,
     layer: render.Layer = "occupancy",
     format: Format = "png",  # noqa: A002 - the name in the URL
+    mode: Annotated[
+        nav2.Mode, Query(description="nav2: how map_server reads occupancy")
+    ] = "trinary",
     fusion: Fusion = "bcm",
 ) -> Response:
     """Draw a part of the map."""
@@ -50,26 +54,16 @@ async def grid(
 
     def draw() -> bytes:
         cells = piecewise.grid(snapshot, box, resolution, fusion, service.queries.check)
-        return _encode(cells, snapshot, box, resolution, layer, format)
+        if format == "nav2":
+            prior = snapshot.prior_variance
+            return nav2.archive(cells, box, resolution, mode=mode, prior_variance=prior)
+        if format == "npy":
+            return write_npy(getattr(cells, layer).astype("<f8"))
+        return render.png(cells, layer, snapshot.prior_variance)
 
     content = await asyncio.wrap_future(service.queries.submit(draw))
     headers = {VERSION_HEADER: str(snapshot.version)}
     return Response(content, media_type=_MEDIA[format], headers=headers)
-
-
-def _encode(
-    cells: Prediction,
-    snapshot: Snapshot,
-    box: Bounds,
-    resolution_m: float,
-    layer: render.Layer,
-    form: Format,
-) -> bytes:
-    if form == "nav2":
-        return nav2.archive(cells, box, resolution_m)
-    if form == "npy":
-        return write_npy(getattr(cells, layer).astype("<f8"))
-    return render.png(cells, layer, snapshot.prior_variance)
 
 
 def _bounds(text: str | None, snapshot: Snapshot) -> Bounds:

@@ -1,4 +1,4 @@
-"""How the map and the service are: status, experts, flush, health, metrics."""
+"""How the map and the service are: status, flush, health, metrics."""
 
 import asyncio
 from typing import Annotated, Literal
@@ -63,35 +63,6 @@ class Status(BaseModel):
     )
 
 
-class Expert(BaseModel):
-    """The Gaussian process of one cluster, as trained last."""
-
-    cluster_id: int
-    line: tuple[tuple[float, float], tuple[float, float]] = Field(description="its ends, m")
-    observations: int
-    hits: int
-    length_scale_m: float
-    signal_std: float
-    revision: int = Field(description="of the evidence it was trained on")
-    dirty: bool = Field(description="newer evidence waits to be trained")
-
-
-class SetAside(BaseModel):
-    """A cluster whose training failed again and again; tried again when its evidence changes."""
-
-    cluster_id: int
-    revision: int
-    error: str
-
-
-class Experts(BaseModel):
-    """All experts of one version."""
-
-    map_version: int
-    experts: list[Expert]
-    quarantined: list[SetAside]
-
-
 class FlushRequest(BaseModel):
     """How long to wait."""
 
@@ -110,32 +81,6 @@ class Health(BaseModel):
 async def status(service: Service) -> Status:
     """Tell how much is in the map, and which robots feed it."""
     return _status(service)
-
-
-@router.get("/v1/experts")
-def experts(service: Service) -> Experts:
-    """List the experts that answer questions."""
-    state = service.state
-    return Experts(
-        map_version=state.snapshot.version,
-        experts=[
-            Expert(
-                cluster_id=expert.cluster_id,
-                line=expert.line,
-                observations=expert.observations,
-                hits=expert.hits,
-                length_scale_m=expert.length_scale_m,
-                signal_std=expert.signal_std,
-                revision=expert.revision,
-                dirty=expert.cluster_id in state.dirty,
-            )
-            for expert in state.snapshot.experts()
-        ],
-        quarantined=[
-            SetAside(cluster_id=q.cluster_id, revision=q.revision, error=q.error)
-            for q in state.quarantined
-        ],
-    )
 
 
 @router.post("/v1/flush")

@@ -73,7 +73,7 @@ def browser() -> Iterator[Chromium]:
 
 @pytest.fixture
 def page(browser: Chromium, site: Site) -> Iterator[Chromium]:
-    """A page, left before the service is, that must neither complain nor ask for anything outside."""
+    """A page that must not complain; it is left before its service is."""
     browser.size(1200, 800)
     browser.system_theme("dark")
     browser.open("about:blank?")

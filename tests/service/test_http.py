@@ -220,7 +220,7 @@ def test_grid_for_nav2(mapped) -> None:
     response = mapped.get("/v1/grid?bbox=-4,-4,4,4&format=nav2")
     assert response.headers["content-type"] == "application/zip"
     with zipfile.ZipFile(io.BytesIO(response.content)) as files:
-        assert sorted(files.namelist()) == ["map.pgm", "map.yaml"]
+        assert sorted(files.namelist()) == ["map.pgm", "map.yaml", "variance.pgm", "variance.yaml"]
 
 
 def test_status_of_an_empty_map(client) -> None:
@@ -404,3 +404,19 @@ def test_two_services_in_one_process_do_not_meet() -> None:
         two.post("/v1/flush")
         assert one.get("/v1/status").json()["scans_integrated"] == 1
         assert two.get("/v1/status").json()["scans_integrated"] == 0
+
+
+def test_experts_are_lines_that_any_map_program_draws(mapped) -> None:
+    plain = mapped.get("/v1/experts").json()
+    for answer in (
+        mapped.get("/v1/experts", headers={"Accept": "application/geo+json"}),
+        mapped.get("/v1/experts?format=geojson"),
+    ):
+        drawn = answer.json()
+        assert answer.headers["content-type"] == "application/geo+json"
+        assert drawn["type"] == "FeatureCollection"
+        assert drawn["map_version"] == plain["map_version"]
+        assert len(drawn["features"]) == len(plain["experts"]) > 0
+        for feature, expert in zip(drawn["features"], plain["experts"], strict=True):
+            assert feature["geometry"] == {"type": "LineString", "coordinates": expert["line"]}
+            assert feature["properties"]["hits"] == expert["hits"]

@@ -61,20 +61,42 @@ def test_values_beyond_the_scale_do_not_wrap_around() -> None:
     assert right[0] > right[2]
 
 
-def test_nav2_archive_is_what_map_server_reads() -> None:
-    archive = nav2.archive(GRID, (-1.0, -2.0, 0.0, -1.0), 0.5)
+def _map_server(archive: bytes, name: str) -> np.ndarray:
+    """Read a map as nav2_map_server does: cells of an OccupancyGrid, the first row at ymin."""
     with zipfile.ZipFile(io.BytesIO(archive)) as files:
-        description = yaml.safe_load(files.read("map.yaml"))
-        image = Image.open(io.BytesIO(files.read(description["image"])))
-    assert description["resolution"] == 0.5
-    assert description["origin"] == [-1.0, -2.0, 0.0]
-    pixels = np.asarray(image)
-    probability = (255 - pixels.astype(float)) / 255.0
-    assert probability[1, 1] > description["occupied_thresh"], "occupied, bottom right"
-    assert probability[1, 0] < description["free_thresh"], "free, bottom left"
-    unknown = probability[0]
-    assert np.all(unknown > description["free_thresh"])
-    assert np.all(unknown < description["occupied_thresh"])
+        about = yaml.safe_load(files.read(f"{name}.yaml"))
+        image = Image.open(io.BytesIO(files.read(about["image"])))
+    assert about["resolution"] == 0.5
+    assert about["origin"] == [-1.0, -2.0, 0.0]
+    assert about["free_thresh"] < about["occupied_thresh"]
+    channels = np.asarray(image.convert("LA")).astype(float)[::-1]
+    shade, opaque = channels[..., 0] / 255.0, channels[..., 1] == 255.0
+    occupied = shade if about["negate"] else 1.0 - shade
+    low, high = about["free_thresh"], about["occupied_thresh"]
+    if about["mode"] == "raw":
+        value = np.round(shade * 255.0)
+        return np.where((value >= 0) & (value <= 100), value, -1).astype(int)
+    if about["mode"] == "trinary":
+        between = np.full_like(shade, -1.0)
+    else:
+        between = np.where(opaque, np.rint((occupied - low) / (high - low) * 100.0), -1.0)
+        occupied = np.where(opaque, occupied, (low + high) / 2.0)
+    return np.select([occupied > high, occupied < low], [100.0, 0.0], between).astype(int)
+
+
+@pytest.mark.parametrize(
+    ("mode", "cells"),
+    [
+        ("trinary", [[0, 100], [-1, -1]]),
+        ("scale", [[0, 100], [-1, 50]]),
+        ("raw", [[0, 100], [-1, 50]]),
+    ],
+)
+def test_map_server_reads_each_mode_and_keeps_the_unknown(mode, cells) -> None:
+    archive = nav2.archive(GRID, (-1.0, -2.0, 0.0, -1.0), 0.5, mode=mode, prior_variance=2.0)
+
+    np.testing.assert_array_equal(_map_server(archive, "map"), cells)
+    np.testing.assert_array_equal(_map_server(archive, "variance"), [[0, 0], [100, 25]])
 
 
 @pytest.mark.parametrize("layer", render.Layer.__args__)
