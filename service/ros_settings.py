@@ -30,8 +30,10 @@ class _Section(BaseModel):
 class RosMapSettings(_Section):
     """The map as nav_msgs/OccupancyGrid, for RViz, Nav2 and Foxglove; over the same transports."""
 
-    publish: bool = Field(True, description="whether to publish it; changes go to <topic>_updates")
-    topic: str = Field("map", description="with the namespace, without the first slash")
+    publish: bool = Field(True, description="whether to publish it; changes go to …_updates")
+    topics: Topics = Field(
+        ("map",), description="with the namespace; a bridge with one listens to <robot>/map"
+    )
     resolution_m: float = Field(0.05, gt=0.0, description="edge of a cell")
     interval_s: float = Field(1.0, gt=0.0, description="changes are published this often at most")
     full_interval_s: float = Field(
@@ -39,12 +41,13 @@ class RosMapSettings(_Section):
     )
     cells_max: int = Field(16_000_000, ge=1, description="a larger map is not published")
 
-    @field_validator("topic")
+    @field_validator("topics")
     @classmethod
-    def _is_one_topic(cls, topic: str) -> str:
-        if TopicPattern(topic).key != topic.removeprefix("/") or "*" in topic:
-            raise ValueError("expected one topic, without places for names")
-        return topic.removeprefix("/")
+    def _are_topics(cls, topics: tuple[str, ...]) -> tuple[str, ...]:
+        for topic in topics:
+            if "*" in TopicPattern(topic).key:
+                raise ValueError("expected plain topics, without places for names")
+        return tuple(topic.removeprefix("/") for topic in topics)
 
 
 class RosSettings(_Section):

@@ -43,7 +43,7 @@ class _Topic:
         self, session: zenoh.Session, settings: RosSettings, topic: str, type_name: str, number: int
     ) -> None:
         self._sequence = 0
-        self._gid = bytes.fromhex(str(session.zid()).rjust(32, "0"))[:15] + bytes([number])
+        self._gid = bytes.fromhex(str(session.zid()).rjust(32, "0"))[:15] + bytes([number % 256])
         latched = type_name == cdr.OCCUPANCY_GRID
         self._publishers = [
             _publisher(session, key, latched=latched) for key in _keys(settings, topic, type_name)
@@ -107,7 +107,8 @@ class MapPublisher:
         self._snapshot: Callable[[], Snapshot] | None = None
         self._worker: Worker | None = None
         self._grid: _Grid | None = None
-        self._topics: list[_Topic] = []
+        self._grids: list[_Topic] = []
+        self._updates: list[_Topic] = []
         self._node: Any = None
         self._full_s = 0.0
         self._stale = False
@@ -130,11 +131,12 @@ class MapPublisher:
         if "rmw_zenoh" in settings.transports:
             token = node_token(settings.domain, str(session.zid()), NODE)
             self._node = session.liveliness().declare_token(token)
-        topic = settings.map.topic
-        self._topics = [
-            _Topic(session, settings, topic, cdr.OCCUPANCY_GRID, 1),
-            _Topic(session, settings, f"{topic}_updates", cdr.GRID_UPDATE, 2),
-        ]
+        for number, topic in enumerate(settings.map.topics):
+            self._grids.append(_Topic(session, settings, topic, cdr.OCCUPANCY_GRID, 2 * number + 1))
+            updates = f"{topic}_updates"
+            self._updates.append(
+                _Topic(session, settings, updates, cdr.GRID_UPDATE, 2 * number + 2)
+            )
         self._news.fresh = True  # a map that was restored before anyone listened
         self._worker = Worker("ros-map", self._step)
         self._worker.start()
@@ -147,7 +149,7 @@ class MapPublisher:
         worker, self._worker = self._worker, None
         if worker is not None:
             worker.join(2.0)
-        self._topics, self._node = [], None
+        self._grids, self._updates, self._node = [], [], None
 
     def _hear(self, event: Event) -> None:
         if isinstance(event, MapChanged):
@@ -225,7 +227,9 @@ class MapPublisher:
         resolution_m = self._settings.map.resolution_m
         origin = grid.patch.bounds(resolution_m)[:2]
         frame = self._settings.map_frame
-        self._topics[0].send(write_grid(grid.cells, origin, resolution_m, frame, at_ns), at_ns)
+        payload = write_grid(grid.cells, origin, resolution_m, frame, at_ns)
+        for topic in self._grids:
+            topic.send(payload, at_ns)
         self._full_s = self._clock.monotonic_s()
         self._stale = False
 
@@ -234,7 +238,8 @@ class MapPublisher:
         at_ns = round(self._clock.unix_s() * _NANOSECONDS)
         frame = self._settings.map_frame
         payload = write_grid_update(cells, columns.start, rows.start, frame, at_ns)
-        self._topics[1].send(payload, at_ns)
+        for topic in self._updates:
+            topic.send(payload, at_ns)
 
 
 def _resized(grid: _Grid | None, whole: Patch) -> _Grid:

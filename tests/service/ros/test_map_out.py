@@ -30,8 +30,8 @@ class Viewer:
         self.updates = []
         self.attachments = []
         history = zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=1)
-        updates = key.replace("map", "map_updates", 1)
-        if key != "map":
+        updates = f"{key}_updates"
+        if key in KEYS[:2]:
             updates = data_key(0, "map_updates", cdr.GRID_UPDATE)
         self.held = [
             zenoh.ext.declare_advanced_subscriber(session, key, self._grid, history=history),
@@ -121,6 +121,15 @@ def test_changes_are_sent_as_what_changed_and_now_and_then_as_a_whole(
         assert viewer.updates[0].data.size < viewer.cells.size
         wait_until(lambda: len(viewer.grids) > full, 10.0)
         wait_until(lambda: np.array_equal(viewer.cells, expected(service, viewer)), 10.0)
+
+
+def test_a_bridge_with_a_namespace_gets_it_under_its_own_name(service, source, published) -> None:
+    grow(service, source, "r1", (-1.0, 0.0))
+    endpoint = published(topics=("map", "robot1/map"))
+    with open_session(connect=endpoint) as session:
+        viewers = [Viewer(session, key) for key in ("map", "robot1/map")]
+        wait_until(lambda: all(viewer.cells is not None for viewer in viewers), 10.0)
+        assert np.array_equal(viewers[0].cells, viewers[1].cells)
 
 
 def test_a_map_that_is_too_large_is_not_published(service, source, published, caplog) -> None:
