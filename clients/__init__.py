@@ -3,9 +3,10 @@
 Rooms, from the ground up; each may use those above it in this list, and gpom_core:
 
 1. errors: the clients' branch of the tree of errors. children: processes that a command starts.
-2. keys: names and addresses. outbox: where scans wait. log_reader: what a reader of logs offers.
+2. keys: names and addresses. bag_content: what is in a ROS bag. listener: all that robots say.
+   outbox: where scans wait. log_reader: what a reader of logs offers.
    world: geometry of simulated sites. answers: what the map service answers.
-3. link: a zenoh session and one stream on it. carmen: one format of logs. building: a furnished
+3. link: a zenoh session and one stream on it. carmen, bags: formats of logs. building: a furnished
    site. sensor: a simulated scanner. calls: the HTTP interface as values.
 4. reliable: what is not stored is sent again. publisher: numbered scans of one sensor.
    logs: whatever the format. motion: how robots drive. map_client: asks the map, blocking or not.
@@ -13,7 +14,8 @@ Rooms, from the ground up; each may use those above it in this list, and gpom_co
    when they are due.
 6. replay: a log as one robot or several. fleet: robots of one process on the way to the map.
    contenders: maps to measure. options: that commands share.
-7. demo, evaluate, *_command: the commands.
+   examination: what is wrong with a fleet.
+7. demo, doctor, evaluate, record, *_command: the commands.
 8. cli: the command line.
 
 The names below can be imported from `clients` itself.
