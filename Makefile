@@ -9,10 +9,11 @@ export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test check format bench clean
+SOAK_S ?= 1800
+.PHONY: help setup demo test check format bench fault-test fuzz soak clean
 
 help: ## list the targets
-	@grep -E '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 16
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 16
 
 setup: $(READY) ## create $(VENV) with the pinned packages and gpom itself
 
@@ -45,6 +46,17 @@ format: setup ## write the code in its one format
 
 bench: setup ## measure speed and accuracy; name the folder of laser logs in GPOM_DATA for all of it
 	@$(BIN)/python -m pytest tests/benchmarks -m benchmark -s
+
+fault-test: setup ## break the real parts while robots drive: kill, stop, cut off, fill the disk
+	@$(BIN)/python -m pytest tests/faults -m 'fault or not fault' -s
+
+fuzz: setup ## a million inputs from a coverage-guided fuzzer for the decoder of scans
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check atheris
+	@PYTHONPATH=. $(BIN)/python tests/fuzz/seeds.py .fuzz/scans
+	@PYTHONPATH=. $(BIN)/python tests/fuzz/scan_decoder.py .fuzz/scans -runs=1000000
+
+soak: setup ## 30 minutes of steady load; SOAK_S=… seconds. Memory, files and threads stay flat
+	@PYTHONPATH=. $(BIN)/python -m tests.soak.steady $(SOAK_S)
 
 clean: ## remove caches and build products, but not $(VENV)
 	@rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

@@ -266,8 +266,8 @@ def _load_tiles(arrays: Image) -> Tiles:
     _require(len(np.unique(keys[:, 0])) == used, "tile_keys repeats")
     tiles = tile_room.new_tiles(max(256, used))
     _fill(tiles, arrays, "tile", ("free", "hit", "first"), used)
-    for kind, rows in enumerate((tiles.free, tiles.hit)):
-        tiles.used[:used, kind] = np.count_nonzero(rows[:used] != NONE, axis=1)
+    for kind, held in enumerate((tiles.free, tiles.hit)):
+        tiles.used[:used, kind] = np.count_nonzero(held[:used] != NONE, axis=1)
     tile_room._index(tiles, keys)
     return tiles
 

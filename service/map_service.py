@@ -75,16 +75,17 @@ class MapService:
         self._ports = ports
         self._journal = ports.journal if ports.archive is None else ports.archive.journal
         self._saver: Saver | None = None
-        self._pool = ThreadPoolExecutor(settings.training.workers, thread_name_prefix="gpom-train")
+        self._pool: ThreadPoolExecutor | None = None
         self._mapping = MapKeeper(
             Mapper(settings.map),
-            self._pool,
+            self._new_pool(),
             settings.map,
             ingest=settings.ingest,
             training=settings.training,
             events=self.events,
             metrics=self.metrics,
             clock=ports.clock,
+            renew_executor=self._new_pool,
         )
         self._ingest = Ingest(
             settings.ingest,
@@ -97,6 +98,14 @@ class MapService:
             acknowledge=ports.acknowledge,
         )
         self._export_metrics()
+
+    def _new_pool(self) -> ThreadPoolExecutor:
+        """Workers for training, in place of those there were."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False)
+        workers = self.settings.training.workers
+        self._pool = ThreadPoolExecutor(workers, thread_name_prefix="gpom-train")
+        return self._pool
 
     @property
     def state(self) -> MapState:
@@ -189,7 +198,8 @@ class MapService:
             self._mapping.save()
             self._saver.close()
         self._tile_desk.close()
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
         self._journal.close()
         if self._ports.archive is not None:
             self._ports.archive.close()

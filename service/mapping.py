@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
@@ -90,7 +90,7 @@ class _Flush:
 class MapKeeper:
     """Owns the mapper. Everything but `_step` may be called from any thread."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - all but the first three by keyword
         self,
         mapper: Mapper,
         executor: Executor,
@@ -101,6 +101,7 @@ class MapKeeper:
         events: EventBus,
         metrics: Metrics,
         clock: Clock,
+        renew_executor: Callable[[], Executor] | None = None,
     ) -> None:
         self._config = config
         self._events = events
@@ -127,6 +128,8 @@ class MapKeeper:
             workers=training.workers,
             swap_interval_s=training.swap_interval_s,
             attempts_max=training.attempts_max,
+            job_timeout_s=training.job_timeout_s,
+            renew=renew_executor,
             metrics=metrics,
             clock=clock,
             wake=self._poke,
@@ -264,8 +267,9 @@ class MapKeeper:
 
     def _seconds_to_wait(self) -> float | None:
         swap_s = self._training.seconds_to_swap()
+        look_s = self._training.seconds_to_look()
         save_s = None if self._saver is None else self._saver.seconds_to_save()
-        return min((s for s in (swap_s, save_s) if s is not None), default=None)
+        return min((s for s in (swap_s, look_s, save_s) if s is not None), default=None)
 
     def _read_tail(self) -> None:
         """Take some scans from the journal; at its end the map is restored when it is trained."""

@@ -171,6 +171,9 @@ class TrainingSettings(_Section):
         0.1, gt=0.0, le=10.0, description="under load, answers see new experts this often"
     )
     attempts_max: int = Field(3, ge=1, description="a failing expert is set aside after these")
+    job_timeout_s: float = Field(
+        60.0, gt=0.0, description="training one expert that takes longer hangs, and has failed"
+    )
 
 
 class Settings(_Section):

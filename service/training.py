@@ -4,8 +4,9 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
+from functools import partial
 
 from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
 from gpom_core.snapshot import Snapshot
@@ -37,6 +38,16 @@ class Swap:
     turns: Mapping[int, int]
 
 
+@dataclass(slots=True, eq=False)
+class _Chunk:
+    """Jobs that one worker does after another; `started_s` is when it began the one at `at`."""
+
+    jobs: Sequence[TrainingJob]
+    at: int = 0
+    started_s: float | None = None
+    abandoned: bool = False
+
+
 @dataclass(frozen=True, slots=True)
 class _Outcome:
     job: TrainingJob
@@ -54,10 +65,12 @@ class Training:
         workers: how many jobs the executor runs at once.
         swap_interval_s: under load results are collected this long before they are swapped in.
         attempts_max: an expert that failed this often in a row is set aside.
+        job_timeout_s: a job that takes longer hangs: it failed, and its worker is written off.
+        renew: gives another executor when workers of this one died or hang.
         wake: called from any thread when jobs are done, so that the owner makes a step.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - all but the first two by keyword
         self,
         mapper: Mapper,
         executor: Executor,
@@ -65,6 +78,8 @@ class Training:
         workers: int,
         swap_interval_s: float,
         attempts_max: int,
+        job_timeout_s: float = 60.0,
+        renew: Callable[[], Executor] | None = None,
         metrics: Metrics,
         clock: Clock,
         wake: Callable[[], None],
@@ -77,7 +92,11 @@ class Training:
         self._metrics = metrics
         self._clock = clock
         self._wake = wake
-        self._finished: deque[list[_Outcome]] = deque()  # filled by the pool, emptied by the owner
+        self._job_timeout_s = job_timeout_s
+        self._renew = renew
+        self._chunks: set[_Chunk] = set()
+        # Filled by the pool, emptied by the owner.
+        self._finished: deque[tuple[_Chunk, list[_Outcome]]] = deque()
         self._turn = 0
         self._in_pool: dict[int, int] = {}  # cluster -> turn
         self._trained: list[TrainedExpert] = []
@@ -110,6 +129,7 @@ class Training:
         """
         self._turn += 1
         self._collect()
+        self._give_up_hanging()
         self._top_up()
         if self._in_pool and self.seconds_to_swap() != 0.0:
             return None
@@ -122,6 +142,10 @@ class Training:
         if not self._trained:
             return None
         return max(0.0, self._last_swap_s + self._swap_interval_s - self._clock.monotonic_s())
+
+    def seconds_to_look(self) -> float | None:
+        """When `step` should look for hanging jobs again; None while nothing is trained."""
+        return min(1.0, self._job_timeout_s) if self._chunks else None
 
     def _swap(self) -> Swap | None:
         trained, self._trained = self._trained, []
@@ -144,23 +168,67 @@ class Training:
         self._in_pool |= dict.fromkeys((job.cluster_id for job in jobs), self._turn)
         size = max(1, min(int(_CHUNK_S / self._job_s), -(-len(jobs) // self._workers)))
         for start in range(0, len(jobs), size):
-            future = self._executor.submit(_run_all, jobs[start : start + size])
-            future.add_done_callback(self._finish)
+            self._submit(_Chunk(jobs[start : start + size]))
+
+    def _submit(self, chunk: _Chunk) -> None:
+        self._chunks.add(chunk)
+        try:
+            future = self._executor.submit(_run_all, chunk)
+        except BrokenExecutor as error:
+            self._renew_executor()
+            self._finished.append((chunk, _all_failed(chunk.jobs, error)))
+            self._wake()
+        else:
+            future.add_done_callback(partial(self._finish, chunk))
+
+    def _renew_executor(self) -> None:
+        if self._renew is not None:
+            logger.warning("workers died or hang; new ones take over")
+            self._executor = self._renew()
+
+    def _give_up_hanging(self) -> None:
+        """Take jobs from workers that have not ended one in time; it fails, the others go on."""
+        now_s = time.perf_counter()
+        hanging = [
+            chunk
+            for chunk in self._chunks
+            if chunk.started_s is not None and now_s - chunk.started_s > self._job_timeout_s
+        ]
+        for chunk in hanging:
+            chunk.abandoned = True
+            self._chunks.discard(chunk)
+            stuck = chunk.jobs[chunk.at]
+            for job in chunk.jobs:
+                self._in_pool.pop(job.cluster_id)
+                if job is stuck:
+                    self._failed(job, f"did not end within {self._job_timeout_s:g} s")
+                else:
+                    self._mapper.fail(job)  # what it did before is lost with it
+        if hanging:
+            self._renew_executor()
 
     def _capacity(self) -> int:
         """Jobs that keep the pool busy for a little longer than until the next swap."""
         per_worker = int(_AHEAD * self._swap_interval_s / self._job_s)
         return max(1, min(per_worker, _JOBS_MAX_PER_WORKER)) * self._workers
 
-    def _finish(self, future: "Future[list[_Outcome]]") -> None:
+    def _finish(self, chunk: _Chunk, future: "Future[list[_Outcome]]") -> None:
         # Runs in a thread of the pool. Cancelled: the service is stopping.
-        if not future.cancelled():
-            self._finished.append(future.result())
-            self._wake()
+        if future.cancelled():
+            return
+        error = future.exception()
+        if error is not None:  # the worker died
+            self._finished.append((chunk, _all_failed(chunk.jobs, error)))
+        else:
+            self._finished.append((chunk, future.result()))
+        self._wake()
 
     def _collect(self) -> None:
         while self._finished:
-            outcomes = self._finished.popleft()
+            chunk, outcomes = self._finished.popleft()
+            if chunk.abandoned:
+                continue
+            self._chunks.discard(chunk)
             for outcome in outcomes:
                 turn = self._in_pool.pop(outcome.job.cluster_id)
                 if outcome.trained is None:
@@ -195,8 +263,16 @@ class Training:
         self._mapper.set_aside(job)
 
 
-def _run_all(jobs: Sequence[TrainingJob]) -> list[_Outcome]:
-    return [_run(job) for job in jobs]
+def _run_all(chunk: _Chunk) -> list[_Outcome]:
+    outcomes = []
+    for place, job in enumerate(chunk.jobs):
+        chunk.at, chunk.started_s = place, time.perf_counter()
+        outcomes.append(_run(job))
+    return outcomes
+
+
+def _all_failed(jobs: Sequence[TrainingJob], error: BaseException) -> list[_Outcome]:
+    return [_Outcome(job, None, repr(error), 0.0) for job in jobs]
 
 
 def _run(job: TrainingJob) -> _Outcome:

@@ -10,7 +10,7 @@ from tests.faults.parts import Robot, Router, Service, assert_nothing_lost, unti
 
 SHORT_AND_LONG = [
     pytest.param(1, id="short"),
-    pytest.param(10, marks=[pytest.mark.slow, pytest.mark.timeout(1500)], id="long"),
+    pytest.param(10, marks=[pytest.mark.fault, pytest.mark.timeout(1500)], id="long"),
 ]
 
 
@@ -19,7 +19,7 @@ def fleet(endpoint: str, robots: int = 4, rate_hz: float = 100.0) -> list[Robot]
 
 
 def report(what: str, **numbers: object) -> None:
-    print(what, *(f"{name}={value}" for name, value in numbers.items()))  # noqa: T201 - with -s
+    print(what, *(f"{name}={value}" for name, value in numbers.items()))
 
 
 @pytest.mark.timeout(600)
@@ -70,7 +70,7 @@ def test_the_router_is_killed_and_restarted(tmp_path, run, kills) -> None:
     report("router killed", kills=kills, scans=total, lost=0)
 
 
-@pytest.mark.slow
+@pytest.mark.fault
 @pytest.mark.timeout(300)
 def test_the_service_is_stopped_for_eight_seconds(tmp_path, run) -> None:
     service = Service(tmp_path)
@@ -89,7 +89,7 @@ def test_the_service_is_stopped_for_eight_seconds(tmp_path, run) -> None:
     report("service stopped for 8 s", scans=total, lost=0)
 
 
-@pytest.mark.slow
+@pytest.mark.fault
 @pytest.mark.timeout(300)
 def test_a_robot_sends_a_hundred_times_too_fast(tmp_path, run) -> None:
     service = Service(tmp_path)
