@@ -1,10 +1,12 @@
 """The one way gpom_core compiles its hot loops.
 
-Compiled code is cached on disk under a name made of all of gpom_core's sources. numba itself looks
-only at the file of the outermost function, and would run old code of the others after an update:
-with arrays read by address that is not a wrong number but a crash.
+Compiled code is cached on disk under a name made of the sources that it was compiled from: those of
+its module and of all that this imports. numba itself looks only at the file of the outermost
+function, and would run old code of the others after an update: with arrays read by address that is
+not a wrong number but a crash.
 """
 
+import ast
 import hashlib
 import shutil
 import tempfile
@@ -19,21 +21,41 @@ from numba import config, njit
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 _STALE_AFTER_S = 86_400.0
+_PACKAGE = Path(__file__).parent
 
 
 @cache
-def cache_folder() -> str | None:
-    """Where compiled code is kept, or None where nothing can be written.
+def _imported(module: str) -> frozenset[str]:
+    """Modules of gpom_core that `module` imports, by its source."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(_source(module).read_bytes())):
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            found.update(n for n in names if n.startswith("gpom_core.") and _source(n).exists())
+    return frozenset(found)
+
+
+def _source(module: str) -> Path:
+    path = _PACKAGE.joinpath(*module.split(".")[1:])
+    return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+
+
+@cache
+def cache_folder(module: str) -> str | None:
+    """Where the compiled code of `module` is kept, or None where nothing can be written.
 
     Below NUMBA_CACHE_DIR if that is set, else beside the sources, else in the user's cache.
     """
-    package = Path(__file__).parent
+    closure, waiting = set(), {module}
+    while waiting:
+        closure |= waiting
+        waiting = set().union(*(_imported(name) for name in waiting)) - closure
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
-        digest.update(source.relative_to(package).as_posix().encode())
-        digest.update(source.read_bytes())
-    name = f"gpom-{digest.hexdigest()[:16]}"
-    places = [package / "__pycache__", Path("~/.cache/gpom").expanduser()]
+    for name in sorted(closure):
+        digest.update(name.encode())
+        digest.update(_source(name).read_bytes())
+    name = f"gpom-{module.rpartition('.')[2]}-{digest.hexdigest()[:16]}"
+    places = [_PACKAGE / "__pycache__", Path("~/.cache/gpom").expanduser()]
     for place in [Path(config.CACHE_DIR)] if config.CACHE_DIR else places:
         try:
             (place / name).mkdir(parents=True, exist_ok=True)
@@ -52,8 +74,12 @@ def _drop_stale(folder: Path, name: str) -> None:
             shutil.rmtree(other, ignore_errors=True)
 
 
+def _is_ours(function: Callable[..., object]) -> bool:
+    return function.__module__.startswith("gpom_core.")
+
+
 def _compile(function: _Function, **options: Any) -> _Function:
-    folder = cache_folder()
+    folder = cache_folder(function.__module__) if _is_ours(function) else None
     options |= {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
     before = config.CACHE_DIR
     config.CACHE_DIR = folder or before  # read while decorating; others' functions keep theirs
