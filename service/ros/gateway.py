@@ -35,6 +35,8 @@ _T = TypeVar("_T")
 _TICK_S = 0.05
 _REPORT_S = 0.25
 _STATIC_HISTORY = 100  # broadcasters of one robot, each with its last message
+_ASK_S = 5.0
+_OLD_CACHES = ("@/*/@ros2_pub_cache", "@ros2_pub_cache/*")
 
 
 class RosGateway:
@@ -114,6 +116,8 @@ class RosGateway:
                 pattern = TopicPattern(text)
                 key = data_selector(transport, settings.domain, pattern.key, type_name)
                 callback = _caught(self._receive(kind, transport, pattern))
+                if kind == "tf_static" and transport == "bridge":
+                    self._ask_older_bridges(session, pattern, callback)
                 if kind == "tf_static":
                     # Who comes late gets them from the publishers' caches only.
                     history = zenoh.ext.HistoryConfig(
@@ -126,6 +130,36 @@ class RosGateway:
                     )
                 else:
                     self._held.append(session.declare_subscriber(key, callback))
+
+    def _ask_older_bridges(
+        self,
+        session: zenoh.Session,
+        pattern: TopicPattern,
+        hear: Callable[[zenoh.Sample], None],
+    ) -> None:
+        """Ask bridges from before the autumn of 2025 for what they keep, as soon as they appear."""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            if reply.ok is not None:
+                hear(reply.ok)
+
+        def on_token(sample: zenoh.Sample) -> None:
+            topic = topic_of_presence("bridge", str(sample.key_expr))
+            if sample.kind == zenoh.SampleKind.PUT and pattern.match(topic) is not None:
+                for prefix in _OLD_CACHES:
+                    session.get(
+                        f"{prefix}/{topic}",
+                        _caught(on_reply),
+                        target=zenoh.QueryTarget.ALL,
+                        consolidation=zenoh.ConsolidationMode.NONE,
+                        accept_replies=zenoh.ReplyKeyExpr.ANY,
+                        timeout=_ASK_S,
+                    )
+
+        key = presence_selector("bridge", self._settings.domain, cdr.TF_MESSAGE)
+        self._held.append(
+            session.liveliness().declare_subscriber(key, _caught(on_token), history=True)
+        )
 
     def _receive(
         self, kind: Kind, transport: Transport, pattern: TopicPattern

@@ -9,7 +9,7 @@ from service.ros.gateway import RosGateway
 from service.ros_settings import RosSettings
 from service.settings import ZenohSettings
 from service.zenoh_source import ZenohSource
-from tests.gpom_core.ros.samples import S, laser_scan, odometry, tf
+from tests.gpom_core.ros.samples import S, cdr, laser_scan, odometry, tf
 from tests.service.conftest import wait_until
 from tests.service.ros.rmw import talker
 
@@ -92,6 +92,25 @@ def test_who_comes_late_still_gets_fixed_transforms(sink, opened, transport) -> 
             wait_until(lambda: len(sink.scans) == 1, 10.0)
         finally:
             source.close()
+
+
+@pytest.mark.parametrize("cache", ["@/{zid}/@ros2_pub_cache", "@ros2_pub_cache/{zid}"])
+def test_older_bridges_are_asked_for_what_they_keep(sink, opened, cache) -> None:
+    """They answer for another key than that of the question."""
+    with talker(opened(transports=("bridge",)), "bridge") as robot:
+        fixed = cdr(tf(("map", "laser", (1.0, 0, 0), 0)))
+        key = f"{cache.format(zid=robot.session.zid())}/r1/tf_static"
+
+        def answer(query) -> None:
+            with query:
+                query.reply("r1/tf_static", fixed)
+
+        queryable = robot.session.declare_queryable(key, answer)
+        robot.appear("r1/tf_static", types.TF_MESSAGE)
+        time.sleep(0.3)
+        robot.say("r1/scan", laser_scan(S))
+        wait_until(lambda: len(sink.scans) == 1, 10.0)
+        queryable.undeclare()
 
 
 @pytest.mark.parametrize(("transport", "humble"), SPEAKERS)
