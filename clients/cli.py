@@ -54,6 +54,7 @@ _OWN_COMMANDS = dict(
         _own("doctor", "clients.doctor:doctor"),
         _own("evaluate", "clients.evaluate:evaluate_command"),
         _own("tune", "clients.tune:tune"),
+        _own("compare", "clients.comparison.command:compare"),
         _own("paper", "clients.paper.command:paper"),
     ]
 )

@@ -1,7 +1,7 @@
 """Maps to be scored by the evaluation protocol: gpom in process, a running service, the grids."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from time import perf_counter
 
 import numpy as np
@@ -12,10 +12,12 @@ from gpom_core.baselines import (
     COUNTING_MODELS,
     RESOLUTIONS_M,
     CountingGrid,
+    GridT,
     LogOddsGrid,
     OccupancyGrid,
     best_by_likelihood,
 )
+from gpom_core.calibration import Calibration
 from gpom_core.config import MapConfig
 from gpom_core.mapper import Mapper
 from gpom_core.scan import Scan
@@ -55,8 +57,12 @@ def gpom_map(
     *,
     config: MapConfig | None = None,
     track: Track = untracked,
+    uncalibrated: bool = False,
 ) -> list[Contender]:
-    """Build and train the map once, and enter it under each fusion rule."""
+    """Build and train the map once, and enter it under each fusion rule.
+
+    With `uncalibrated` also as it would be with the plain probit link, by the first rule.
+    """
     config = config or MapConfig()
     _compile(training, config)
     mapper = Mapper(config)
@@ -70,8 +76,14 @@ def gpom_map(
         "training_s": _round_s(perf_counter() - built),
         "experts": mapper.expert_count,
         "observations": mapper.observation_count,
+        "trained_observations": sum(len(m.expert.observations) for m in snapshot.members.values()),
+        "slope": snapshot.calibration.slope,
     }
-    return [Contender(f"gpom {name}", _ask(snapshot, name), facts) for name in fusions]
+    entered = [Contender(f"gpom {name}", _ask(snapshot, name), facts) for name in fusions]
+    if uncalibrated:
+        plain = snapshot.with_calibration(Calibration())
+        entered.append(Contender("gpom uncalibrated", _ask(plain, fusions[0]), facts))
+    return entered
 
 
 def running_service(client: MapClient, fusions: Sequence[str] = ("bcm",)) -> list[Contender]:
@@ -116,32 +128,65 @@ def grids(training: Sequence[Scan], track: Track = untracked) -> list[Contender]
             seconds = _fill(grid, track(training, title))
             facts: dict[str, object] = {"build_s": seconds, "resolution_m": resolution_m}
             contenders.append(Contender(title, grid.occupancy, facts))
-    started = perf_counter()
-    chosen = _choose(training)
+    chosen = _tuned(training)
     best = counting[chosen.resolution_m].with_model(chosen.model)
-    facts = {
-        "tuning_s": _round_s(perf_counter() - started),
-        "resolution_m": best.resolution_m,
-        "hit_weight": best.model.hit_weight,
-        "prior_count": best.model.prior_count,
+    return [*contenders, _entered("counting grid tuned", best)]
+
+
+def chosen_grids(training: Sequence[Scan]) -> list[Contender]:
+    """Enter each kind of grid once, chosen by likelihood on every fifth training scan.
+
+    The counting grid with its usual weights and with tuned ones, and the log-odds grid.
+    """
+    usual = _choose([CountingGrid(r) for r in RESOLUTIONS_M], training)
+    tuned = _tuned(training)
+    log_odds = _choose([LogOddsGrid(r) for r in RESOLUTIONS_M], training)
+    whole: dict[str, CountingGrid | LogOddsGrid] = {
+        "counting grid": CountingGrid(usual.resolution_m),
+        "counting grid tuned": CountingGrid(tuned.resolution_m, tuned.model),
+        "log-odds grid": LogOddsGrid(log_odds.resolution_m),
     }
-    return [*contenders, Contender("counting grid tuned", best.occupancy, facts)]
+    return [
+        _entered(name, grid, {"build_s": _fill(grid, training)}) for name, grid in whole.items()
+    ]
 
 
-def _choose(training: Sequence[Scan]) -> CountingGrid:
-    aside = [s for i, s in enumerate(training) if i % _VALIDATION_STEP == _VALIDATION_PHASE]
-    rest = [s for i, s in enumerate(training) if i % _VALIDATION_STEP != _VALIDATION_PHASE]
-    points = labelled_points(aside, _VALIDATION_SEED, keep=None)
-    if not _has_both(points):
-        return CountingGrid(RESOLUTIONS_M[len(RESOLUTIONS_M) // 2])
+def _entered(
+    name: str, grid: CountingGrid | LogOddsGrid, facts: Mapping[str, object] | None = None
+) -> Contender:
+    about = {"resolution_m": grid.resolution_m, **asdict(grid.model), **(facts or {})}
+    return Contender(name, grid.occupancy, about)
+
+
+def _tuned(training: Sequence[Scan]) -> CountingGrid:
+    rest, points = set_aside(training)
     candidates = [CountingGrid(resolution_m) for resolution_m in RESOLUTIONS_M]
+    if not has_both(points):
+        return candidates[len(candidates) // 2]
     for grid in candidates:
         _fill(grid, rest)
     read = (grid.with_model(model) for grid in candidates for model in COUNTING_MODELS)
     return best_by_likelihood(read, points.points, points.occupied)
 
 
-def _has_both(points: LabelledPoints) -> bool:
+def _choose(candidates: Sequence[GridT], training: Sequence[Scan]) -> GridT:
+    rest, points = set_aside(training)
+    if not has_both(points):
+        return candidates[len(candidates) // 2]
+    for grid in candidates:
+        _fill(grid, rest)
+    return best_by_likelihood(candidates, points.points, points.occupied)
+
+
+def set_aside(training: Sequence[Scan]) -> tuple[list[Scan], LabelledPoints]:
+    """Divide training scans to choose settings: most of them, and points of every fifth."""
+    aside = [s for i, s in enumerate(training) if i % _VALIDATION_STEP == _VALIDATION_PHASE]
+    rest = [s for i, s in enumerate(training) if i % _VALIDATION_STEP != _VALIDATION_PHASE]
+    return rest, labelled_points(aside, _VALIDATION_SEED, keep=None)
+
+
+def has_both(points: LabelledPoints) -> bool:
+    """Whether there are hits and free points among them."""
     return bool(points.occupied.any() and not points.occupied.all())
 
 

@@ -15,10 +15,10 @@ from typing import Annotated
 
 import numpy as np
 import typer
-import yaml
 from pydantic import ValidationError
 from rich.console import Console
 
+from clients.map_settings import as_yaml, read_config
 from clients.protocol import LabelledPoints, labelled_points, parse_share, read_scans, split, thin
 from gpom_core.config import MapConfig
 from gpom_core.errors import ConfigurationError
@@ -153,31 +153,6 @@ def search(
                 if better:
                     break
         factor = factor if improved else factor**0.5
-
-
-def as_yaml(config: MapConfig) -> str:
-    """The settings that differ from the defaults, as `gpom serve --config` reads them."""
-    usual = MapConfig()
-    changed = {
-        name: value for name, value in config.model_dump().items() if value != getattr(usual, name)
-    }
-    return str(yaml.safe_dump({"map": changed}, sort_keys=False))
-
-
-def read_config(path: Path | None) -> MapConfig:
-    """The `map` section of a file of settings; the defaults without one.
-
-    Raises:
-        ConfigurationError: it cannot be read, or a setting is wrong.
-    """
-    if path is None:
-        return MapConfig()
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8")) or {}
-        return MapConfig(**content.get("map", {}))
-    except (OSError, AttributeError, TypeError, yaml.YAMLError, ValidationError) as error:
-        message = f"{path} holds no settings of a map under the key `map`: {error}"
-        raise ConfigurationError(message) from error
 
 
 def tune(

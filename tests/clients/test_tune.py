@@ -9,8 +9,9 @@ import typer
 import yaml
 from typer.testing import CliRunner
 
+from clients.map_settings import as_yaml, read_config
 from clients.protocol import hit_ends, split
-from clients.tune import Outcome, as_yaml, cases_of, measure, read_config, search, tune
+from clients.tune import Outcome, cases_of, measure, search, tune
 from gpom_core.config import MapConfig
 from gpom_core.errors import ConfigurationError
 from tests.clients.rooms import room_log, room_scan

@@ -1,0 +1,148 @@
+"""Maps that others wrote, from packages that may be missing: OctoMap and scikit-learn's."""
+
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from time import perf_counter
+
+import numpy as np
+
+from clients.contenders import Contender, has_both, set_aside
+from clients.protocol import Bools, Floats, LabelledPoints, hit_ends, labelled_points
+from gpom_core.metrics import negative_log_likelihood
+from gpom_core.scan import Scan
+
+GP_POINTS = 600
+HILBERT_POINTS = 20_000
+HILBERT_FEATURES = 1000
+HILBERT_LENGTHS_M = (0.25, 0.5, 1.0)
+_SEED = 3
+_BATCH = 4096
+
+Builder = Callable[[Sequence[Scan], float], Contender]
+"""From training scans and the cell size that suits a log-odds grid to a map."""
+
+
+def octomap_map(training: Sequence[Scan], resolution_m: float) -> Contender:
+    """OctoMap itself in its default settings: one layer of cells of an octree."""
+    import octomap
+
+    tree = octomap.OcTree(resolution_m)
+    height_m = resolution_m / 2
+    started = perf_counter()
+    for scan in training:
+        ends = hit_ends(scan)
+        cloud = np.column_stack([ends, np.full(len(ends), height_m)])
+        tree.insertPointCloud(cloud, np.array([*scan.pose[:2], height_m]), -1.0, True)
+    tree.updateInnerOccupancy()
+
+    def predict(points: Floats) -> tuple[Floats, Bools]:
+        occupancy, known = np.full(len(points), 0.5), np.zeros(len(points), np.bool_)
+        for i, (x, y) in enumerate(points):
+            try:
+                occupancy[i] = tree.search(np.array([x, y, height_m])).getOccupancy()
+                known[i] = True
+            except octomap.NullPointerException:  # no such node: never seen
+                continue
+        return occupancy, known
+
+    facts = {"resolution_m": resolution_m, "build_s": round(perf_counter() - started, 4)}
+    return Contender("OctoMap", predict, facts)
+
+
+def gp_classifier(training: Sequence[Scan], _resolution_m: float) -> Contender:
+    """scikit-learn's exact GP classifier (Laplace) on as many points as it can take.
+
+    Its kernel and length scale are learned by marginal likelihood. It is cubic in the points, so
+    on a building it stands for what one small exact process can know, not for GP maps at large.
+    """
+    from sklearn.gaussian_process import GaussianProcessClassifier
+    from sklearn.gaussian_process.kernels import RBF, ConstantKernel
+
+    points = labelled_points(training, _SEED, GP_POINTS)
+    kernel = ConstantKernel(4.0, (0.1, 1e3)) * RBF(0.5, (0.1, 5.0))
+    started = perf_counter()
+    model = GaussianProcessClassifier(kernel, random_state=_SEED)
+    model.fit(points.points, points.occupied)
+    facts = {"points_used": len(points), "build_s": round(perf_counter() - started, 4)}
+    return Contender("GP classifier", _asking(model), facts)
+
+
+def hilbert_map(training: Sequence[Scan], _resolution_m: float) -> Contender:
+    """A map as Ramos & Ott's Hilbert maps (2016): logistic regression on kernel features, by SGD.
+
+    scikit-learn's Nystroem features and SGDClassifier; the length scale is the best of three on
+    every fifth training scan.
+    """
+    started = perf_counter()
+    rest, aside = set_aside(training)
+    length_m = HILBERT_LENGTHS_M[1]
+    if has_both(aside):
+        aside = aside.where(np.arange(min(len(aside), 5000)) * len(aside) // min(len(aside), 5000))
+        some = labelled_points(rest, _SEED, HILBERT_POINTS // 2)
+        length_m = min(
+            HILBERT_LENGTHS_M,
+            key=lambda length: negative_log_likelihood(
+                _hilbert(some, length)(aside.points)[0], aside.occupied
+            ),
+        )
+    predict = _hilbert(labelled_points(training, _SEED, HILBERT_POINTS), length_m)
+    facts = {
+        "length_scale_m": length_m,
+        "features": HILBERT_FEATURES,
+        "build_s": round(perf_counter() - started, 4),
+    }
+    return Contender("Hilbert map", predict, facts)
+
+
+def _hilbert(points: LabelledPoints, length_m: float) -> Callable[[Floats], tuple[Floats, Bools]]:
+    from sklearn.kernel_approximation import Nystroem
+    from sklearn.linear_model import SGDClassifier
+    from sklearn.pipeline import make_pipeline
+
+    features = Nystroem(
+        gamma=0.5 / length_m**2,
+        n_components=min(HILBERT_FEATURES, len(points)),
+        random_state=_SEED,
+    )
+    regression = SGDClassifier(loss="log_loss", alpha=1e-6, random_state=_SEED, average=True)
+    model = make_pipeline(features, regression)
+    model.fit(points.points, points.occupied)
+    return _asking(model)
+
+
+def _asking(model: object) -> Callable[[Floats], tuple[Floats, Bools]]:
+    def predict(points: Floats) -> tuple[Floats, Bools]:
+        parts = [
+            model.predict_proba(points[i : i + _BATCH])[:, 1]  # type: ignore[attr-defined]
+            for i in range(0, len(points), _BATCH)
+        ]
+        return np.concatenate(parts), np.ones(len(points), np.bool_)
+
+    return predict
+
+
+PEERS: dict[str, tuple[str, str, Builder]] = {
+    "OctoMap": ("octomap", "octomap-python", octomap_map),
+    "GP classifier": ("sklearn", "scikit-learn", gp_classifier),
+    "Hilbert map": ("sklearn", "scikit-learn", hilbert_map),
+}
+"""Name to the module it needs, the package that brings it, and how it is built."""
+
+
+def missing_peers() -> dict[str, str]:
+    """Peers that cannot take part, and the package that each needs."""
+    return {
+        name: package for name, (module, package, _) in PEERS.items() if find_spec(module) is None
+    }
+
+
+def peers(training: Sequence[Scan], resolution_m: float) -> list[Contender]:
+    """Build every peer whose package is there.
+
+    Args:
+        resolution_m: of the cells that suit a log-odds grid.
+    """
+    absent = missing_peers()
+    return [
+        build(training, resolution_m) for name, (_, _, build) in PEERS.items() if name not in absent
+    ]
