@@ -47,6 +47,9 @@ class _Chunk:
     started_s: float | None = None
     abandoned: bool = False
 
+    def __len__(self) -> int:
+        return len(self.jobs)
+
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
