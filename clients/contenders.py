@@ -128,7 +128,7 @@ def grids(training: Sequence[Scan], track: Track = untracked) -> list[Contender]
             seconds = _fill(grid, track(training, title))
             facts: dict[str, object] = {"build_s": seconds, "resolution_m": resolution_m}
             contenders.append(Contender(title, grid.occupancy, facts))
-    chosen = _tuned(training)
+    chosen = _best_counting(*set_aside(training))[1]
     best = counting[chosen.resolution_m].with_model(chosen.model)
     return [*contenders, _entered("counting grid tuned", best)]
 
@@ -138,9 +138,9 @@ def chosen_grids(training: Sequence[Scan]) -> list[Contender]:
 
     The counting grid with its usual weights and with tuned ones, and the log-odds grid.
     """
-    usual = _choose([CountingGrid(r) for r in RESOLUTIONS_M], training)
-    tuned = _tuned(training)
-    log_odds = _choose([LogOddsGrid(r) for r in RESOLUTIONS_M], training)
+    rest, points = set_aside(training)
+    usual, tuned = _best_counting(rest, points)
+    log_odds = _best([LogOddsGrid(r) for r in RESOLUTIONS_M], rest, points)
     whole: dict[str, CountingGrid | LogOddsGrid] = {
         "counting grid": CountingGrid(usual.resolution_m),
         "counting grid tuned": CountingGrid(tuned.resolution_m, tuned.model),
@@ -158,19 +158,20 @@ def _entered(
     return Contender(name, grid.occupancy, about)
 
 
-def _tuned(training: Sequence[Scan]) -> CountingGrid:
-    rest, points = set_aside(training)
+def _best_counting(
+    rest: Sequence[Scan], points: LabelledPoints
+) -> tuple[CountingGrid, CountingGrid]:
+    """The counting grid of the best cell size, with its usual weights and with the best ones."""
     candidates = [CountingGrid(resolution_m) for resolution_m in RESOLUTIONS_M]
+    usual = _best(candidates, rest, points)
     if not has_both(points):
-        return candidates[len(candidates) // 2]
-    for grid in candidates:
-        _fill(grid, rest)
+        return usual, usual
     read = (grid.with_model(model) for grid in candidates for model in COUNTING_MODELS)
-    return best_by_likelihood(read, points.points, points.occupied)
+    return usual, best_by_likelihood(read, points.points, points.occupied)
 
 
-def _choose(candidates: Sequence[GridT], training: Sequence[Scan]) -> GridT:
-    rest, points = set_aside(training)
+def _best(candidates: Sequence[GridT], rest: Sequence[Scan], points: LabelledPoints) -> GridT:
+    """Fill the candidates and choose by likelihood; the middle one if there is no telling."""
     if not has_both(points):
         return candidates[len(candidates) // 2]
     for grid in candidates:

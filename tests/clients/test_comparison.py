@@ -1,0 +1,101 @@
+"""The comparison: everyone is asked the same, promises are judged as stated, files are written."""
+
+import json
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from clients.comparison import peers
+from clients.comparison.command import compare
+from clients.comparison.study import SCORES, Result, Round, Spread, play
+from clients.comparison.targets import ALL, GRID, MAP, TENTH, THIRD, TUNED_GRID, verdicts
+from clients.protocol import labelled_points, split
+from gpom_core.errors import ConfigurationError
+from gpom_core.metrics import reliability_curve
+from tests.clients.rooms import room_log, room_scan
+
+SCANS = [room_scan(index) for index in range(24)]
+CURVE = reliability_curve(np.array([0.1, 0.9]), np.array([False, True]))
+
+
+def result(method: str, **scores: float) -> Result:
+    spread = {name: Spread(scores.get(name, 0.0), 0.0) for name in SCORES}
+    return Result(method, spread, None, CURVE, {})
+
+
+def one_round(share: Fraction, nll: float, grid_nll: float, ece: float = 0.01) -> Round:
+    results = (
+        result(MAP, nll=nll, auc=0.99, ece=ece),
+        result(GRID, nll=grid_nll, auc=0.98),
+        result(TUNED_GRID, nll=grid_nll, auc=0.98),
+    )
+    return Round("site", share, 100, 1, 0.0, results)
+
+
+def test_all_methods_answer_the_same_points() -> None:
+    one = play("room", SCANS, Fraction(1, 3), draws=2, with_peers=False)
+    names = [r.method for r in one.results]
+    assert names == [MAP, "gpom uncalibrated", GRID, TUNED_GRID, "log-odds grid"]
+    assert one.training_scans == 8
+    sizes = {int(r.reliability.count.sum()) for r in one.results}
+    assert sizes == {sum(len(labelled_points(split(SCANS)[1], seed)) for seed in range(2))}
+    assert all(r.scores["auc"].mean > 0.9 for r in one.results)
+
+
+def test_a_log_without_held_out_scans_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="six scans"):
+        play("short", SCANS[:4], Fraction(1), draws=1, with_peers=False)
+
+
+def test_promises_are_judged_as_stated() -> None:
+    rounds = [
+        one_round(ALL, 0.08, 0.1), one_round(THIRD, 0.09, 0.11), one_round(TENTH, 0.1, 0.2, 0.05)
+    ]  # fmt: skip
+    met = {(v.share, v.what): v.met for v in verdicts(rounds)}
+    assert met[ALL, "NLL over the grid's"]
+    assert not met[THIRD, "NLL over the grid's"]
+    assert met[TENTH, "NLL over the grid's"]
+    assert met[THIRD, "NLL over the grid's of all scans"]
+    assert met[ALL, "ECE"]
+    assert not met[TENTH, "ECE"]
+    assert all(met[share, "AUC short of the grid's"] for share in (ALL, THIRD, TENTH))
+
+
+@pytest.mark.parametrize("name", peers.PEERS)
+def test_peers_learn_the_room(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    module, _, build = peers.PEERS[name]
+    pytest.importorskip(module)
+    monkeypatch.setattr(peers, "HILBERT_FEATURES", 100)
+    monkeypatch.setattr(peers, "HILBERT_POINTS", 1000)
+    monkeypatch.setattr(peers, "GP_POINTS", 100)
+    training, held_out = split(SCANS)
+    test = labelled_points(held_out, seed=0, keep=200)
+    probability, known = build(training, 0.1).predict(test.points)
+    assert probability.shape == known.shape == (200,)
+    assert probability[test.occupied].mean() > probability[~test.occupied].mean() + 0.3
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(peers, "find_spec", lambda _: None)
+    assert peers.missing_peers()["OctoMap"] == "octomap-python"
+    assert peers.peers(SCANS, 0.1) == []
+
+
+def test_the_command_writes_tables_and_figures(tmp_path: Path) -> None:
+    log, out = room_log(tmp_path / "room.log", SCANS), tmp_path / "out"
+    app = typer.Typer()
+    app.command()(compare)
+    arguments = [str(log), "--shares", "1,1/10", "--draws", "2", "--no-peers", "--output", str(out)]
+    done = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    document = json.loads((out / "comparison.json").read_text())
+    assert [one["share"] for one in document["rounds"]] == ["1", "1/10"]
+    assert document["rounds"][0]["methods"][MAP]["nll"]["mean"] < 0.3
+    assert (out / "comparison.md").read_text() == done.stdout
+    pytest.importorskip("matplotlib")
+    for name in ("learning_curves.png", "reliability.png"):
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
