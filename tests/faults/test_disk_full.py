@@ -8,11 +8,13 @@ import pytest
 from service.archive import Archive
 from service.clock import SystemClock
 from service.map_service import MapService, Ports
-from service.sequences import Cursor
+from service.sequences import Cursor, SensorKey
 from service.settings import JournalSettings, Settings
 from service.source import MemorySource
 from tests.faults.parts import until
 from tests.service.rooms import payload_at
+
+KEY = SensorKey("robot", "front")
 
 
 @pytest.fixture
@@ -45,14 +47,14 @@ def test_a_full_disk_stops_acknowledgements_and_nothing_else(small_disk) -> None
             seq += 1
             source.put("robot", "front", payload_at(seq=seq, reliable=True))
             until(
-                lambda n=seq: bool(service.troubles()) or acks.get(("robot", "front"), none).seq == n,
+                lambda n=seq: bool(service.troubles()) or acks.get(KEY, none).seq == n,
                 20.0,
                 "stored or refused",
             )
         (trouble,) = service.troubles()
         assert "scans cannot be stored" in trouble
         assert "full" in trouble
-        stored = acks[("robot", "front")]
+        stored = acks[KEY]
         assert stored == Cursor(1, seq - 1), "what is acknowledged is what fitted"
         assert service.state.snapshot.query([[0.0, 0.0]]).known.shape == (1,)
         assert b"gpom_journal_failures_total" in service.metrics.exposition()
@@ -61,7 +63,7 @@ def test_a_full_disk_stops_acknowledgements_and_nothing_else(small_disk) -> None
         ballast.unlink()
         took_s = until(lambda: not service.troubles(), 20.0, "recovered without a scan")
         source.put("robot", "front", payload_at(seq=seq, reliable=True))
-        until(lambda: acks[("robot", "front")].seq == seq, 20.0, "the refused scan is taken")
+        until(lambda: acks[KEY].seq == seq, 20.0, "the refused scan is taken")
         service.flush().result(60.0)
         assert service.state.scans_integrated == seq
         print(f"disk full scans={seq} lost=0 recovered_after_s={took_s:.1f}")
