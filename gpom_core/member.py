@@ -17,6 +17,7 @@ TILE_M = 0.5  # of the index; smaller tiles cost memory, larger ones time (see A
 SECTOR_SHIFT = 4
 SECTOR_TILES = 1 << SECTOR_SHIFT
 SECTOR_M = TILE_M * SECTOR_TILES
+TILES_IN_SECTOR = SECTOR_TILES * SECTOR_TILES
 
 # Columns of `Member.table`: addresses of arrays, then their lengths.
 (

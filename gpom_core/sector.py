@@ -12,6 +12,7 @@ import numpy as np
 from numba import carray
 from numpy.typing import NDArray
 
+from gpom_core.committee import Fusion
 from gpom_core.jit import compiled
 from gpom_core.member import (
     SECTOR_M,
@@ -20,9 +21,11 @@ from gpom_core.member import (
     TILE_COUNT,
     TILE_M,
     TILES,
+    TILES_IN_SECTOR,
     Member,
 )
 from gpom_core.opinions import tile_sums
+from gpom_core.pages import Pages, pages_of
 from gpom_core.pointers import pointer
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
 
@@ -37,6 +40,9 @@ class Sector:
         tables: (k, 9) `Member.table` of each expert. scales: (k, 2) `Member.scales`.
         starts: (t * t + 1,) where each tile's entries begin.
         entries: (e, 3) expert, and the first and end of its members near the tile.
+        pages: the field of this sector as far as it was asked for. A cache: entries are replaced.
+        used: (t * t,) when each tile of the field was asked for last; written by queries.
+        asked: (t * t,) points asked for in each tile since it changed; written by queries.
     """
 
     members: Mapping[int, Member]
@@ -45,18 +51,31 @@ class Sector:
     scales: NDArray[np.float64]
     starts: NDArray[np.int64]
     entries: NDArray[np.int64]
+    pages: dict[Fusion, Pages]
+    used: NDArray[np.int64]
+    asked: NDArray[np.int64]
 
 
-def build_sector(members: Mapping[int, Member], key: int) -> Sector:
+def build_sector(
+    members: Mapping[int, Member],
+    key: int,
+    before: Sector | None = None,
+    changed: NDArray[np.int64] | None = None,
+) -> Sector:
     """The sector with this key, from the experts that reach into it.
 
     Experts are ordered by cluster number, so that sums do not depend on the order of training.
+
+    Args:
+        before: its predecessor, whose field is kept.
+        changed: keys of tiles, in this sector or elsewhere, whose field is not kept.
     """
     ordered = {c: members[c] for c in sorted(members)}
     ix = (key >> TILE_BITS) - TILE_OFFSET
     iy = (key & ((1 << TILE_BITS) - 1)) - TILE_OFFSET
     tables = np.stack([m.table for m in ordered.values()])
     starts, entries = _entries(tables, ix * SECTOR_TILES, iy * SECTOR_TILES)
+    gone = _locals(np.empty(0, np.int64) if changed is None else changed, ix, iy)
     return Sector(
         members=ordered,
         corner=np.array([ix * SECTOR_M, iy * SECTOR_M]),
@@ -64,7 +83,29 @@ def build_sector(members: Mapping[int, Member], key: int) -> Sector:
         scales=np.stack([m.scales for m in ordered.values()]),
         starts=starts,
         entries=entries,
+        pages=_pages(starts, before, gone),
+        used=np.zeros(TILES_IN_SECTOR, np.int64) if before is None else before.used.copy(),
+        asked=_asked(before, gone),
     )
+
+
+def _asked(before: Sector | None, gone: NDArray[np.int64]) -> NDArray[np.int64]:
+    asked = np.zeros(TILES_IN_SECTOR, np.int64) if before is None else before.asked.copy()
+    asked[gone] = 0
+    return asked
+
+
+def _pages(
+    starts: NDArray[np.int64], before: Sector | None, gone: NDArray[np.int64]
+) -> dict[Fusion, Pages]:
+    """The field's tiles of the sector's predecessor that are still right."""
+    nothing = starts[1:] == starts[:-1]
+    pages = {rule: pages_of({}, nothing) for rule in (Fusion.BCM, Fusion.RBCM)}
+    if before is not None:
+        for rule, old in before.pages.items():
+            if old.nodes:
+                pages[rule] = pages_of(old.without(gone).nodes, nothing)
+    return pages
 
 
 @compiled
@@ -77,11 +118,24 @@ def _local(key: int, x0: int, y0: int) -> int:
 
 
 @compiled
+def _locals(keys: NDArray[np.int64], ix: int, iy: int) -> NDArray[np.int64]:
+    """Numbers within sector (ix, iy) of those tiles that are in it."""
+    out = np.empty(len(keys), np.int64)
+    found = 0
+    for i in range(len(keys)):
+        local = _local(keys[i], ix * SECTOR_TILES, iy * SECTOR_TILES)
+        if local >= 0:
+            out[found] = local
+            found += 1
+    return out[:found]
+
+
+@compiled
 def _entries(
     tables: NDArray[np.int64], x0: int, y0: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """`starts` and `entries` of a `Sector`, by counting first and filling then."""
-    starts = np.zeros(SECTOR_TILES * SECTOR_TILES + 1, np.int64)
+    starts = np.zeros(TILES_IN_SECTOR + 1, np.int64)
     for k in range(len(tables)):
         tiles = carray(pointer(tables[k, TILES]), (tables[k, TILE_COUNT],), np.int64)
         for t in range(len(tiles)):
@@ -129,7 +183,7 @@ def committee_sums(
         precision, information: (n,) sums to add to.
     """
     tile = np.empty(len(which), np.int64)
-    first = np.zeros(SECTOR_TILES * SECTOR_TILES + 1, np.int64)
+    first = np.zeros(TILES_IN_SECTOR + 1, np.int64)
     most = 0
     for w in range(len(which)):
         x, y = points[which[w], 0] - corner[0], points[which[w], 1] - corner[1]
@@ -145,7 +199,7 @@ def committee_sums(
         order[cursor[tile[w]]] = which[w]
         cursor[tile[w]] += 1
     inside, sums = np.empty((most, 2)), np.empty((2, most))
-    for t in range(SECTOR_TILES * SECTOR_TILES):
+    for t in range(TILES_IN_SECTOR):
         here = order[first[t] : first[t + 1]]
         near = entries[starts[t] : starts[t + 1]]
         if len(here) == 0 or len(near) == 0:

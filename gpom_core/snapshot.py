@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gpom_core.calibration import Calibration
 from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
+from gpom_core.field import Field
 from gpom_core.member import SECTOR_M, Bounds, Member, sector_key
 from gpom_core.sector import Sector, build_sector, committee_sums
 
@@ -20,6 +22,28 @@ from gpom_core.sector import Sector, build_sector, committee_sums
 CUTOFF_SCALES = 4.75
 NEGLIGIBLE = float(np.exp(-0.5 * CUTOFF_SCALES**2))  # of the signal variance
 MAX_GRID_CELLS = 200_000_000
+
+
+class Method(Enum):
+    """How to evaluate the committee."""
+
+    EXACT = "exact"
+    FIELD = "field"
+    """Between the nodes of a lattice that is filled where somebody asks: see `gpom_core.field`."""
+
+    @classmethod
+    def named(cls, name: str) -> Method:
+        """The method called `name`.
+
+        Raises:
+            InvalidQueryError: there is no such method.
+        """
+        try:
+            return cls(name)
+        except ValueError:
+            known = ", ".join(method.value for method in cls)
+            message = f"method {name!r} is not known; use one of {known}"
+            raise InvalidQueryError(message) from None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,13 +132,35 @@ class Snapshot:
         """As `bounds`, grown by how far evidence has a say; beyond, all is unknown."""
         return union(_reach(member) for member in self.members.values())
 
+    @cached_property
+    def _fields(self) -> dict[Fusion, Field]:
+        return {}
+
+    def field(self, fusion: Fusion = Fusion.BCM) -> Field | None:
+        """The field that `method="field"` reads, None while there is no evidence."""
+        if self.reach is None:
+            return None
+        if fusion not in self._fields:
+            self._fields[fusion] = Field(
+                self.sectors, self.reach, fusion,
+                negligible=NEGLIGIBLE, prior_variance=self.prior_variance,
+                slope=self.calibration.slope,
+            )  # fmt: skip
+        return self._fields[fusion]
+
     def sums(
-        self, points: NDArray[np.float64], fusion: Fusion = Fusion.BCM
+        self,
+        points: NDArray[np.float64],
+        fusion: Fusion = Fusion.BCM,
+        method: Method = Method.EXACT,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """The committee's precision and information at points (n, 2); the prior is included."""
-        precision = np.full(
-            len(points), prior_precision(fusion, self.prior_variance, len(self.members))
-        )
+        prior = prior_precision(fusion, self.prior_variance, len(self.members))
+        if method is Method.FIELD and (field := self.field(fusion)) is not None:
+            precision, information = field.sums(points)
+            precision += prior
+            return precision, information
+        precision = np.full(len(points), prior)
         information = np.zeros(len(points))
         for key, which in _by_sector(points, self.reach).items():
             sector = self.sectors.get(key)
@@ -126,13 +172,18 @@ class Snapshot:
                 )  # fmt: skip
         return precision, information
 
-    def query(self, points: ArrayLike, fusion: str = "bcm") -> Prediction:
-        """Occupancy, mean and variance at points (n, 2) in metres, exactly.
+    def query(self, points: ArrayLike, fusion: str = "bcm", method: str = "exact") -> Prediction:
+        """Occupancy, mean and variance at points (n, 2) in metres.
+
+        Args:
+            fusion: a `Fusion` in lower case. method: a `Method` in lower case.
 
         Raises:
-            InvalidQueryError: wrong shape, non-finite points or an unknown fusion rule.
+            InvalidQueryError: wrong shape, non-finite points, an unknown fusion rule or method.
         """
-        precision, information = self.sums(as_points(points), Fusion.named(fusion))
+        precision, information = self.sums(
+            as_points(points), Fusion.named(fusion), Method.named(method)
+        )
         mean, variance = information / precision, 1.0 / precision
         return Prediction(
             occupancy=self.calibration.probability(mean, variance),
@@ -141,7 +192,9 @@ class Snapshot:
             known=variance < self.known_variance_ratio * self.prior_variance,
         )
 
-    def grid(self, bbox: Bounds, resolution_m: float, fusion: str = "bcm") -> Prediction:
+    def grid(
+        self, bbox: Bounds, resolution_m: float, fusion: str = "bcm", method: str = "exact"
+    ) -> Prediction:
         """The map at the cell centres of a raster, (rows, columns), row 0 at ymin.
 
         Args:
@@ -154,7 +207,7 @@ class Snapshot:
         x = bbox[0] + (np.arange(columns) + 0.5) * resolution_m
         y = bbox[1] + (np.arange(rows) + 0.5) * resolution_m
         points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return self.query(points, fusion).reshape(rows, columns)
+        return self.query(points, fusion, method).reshape(rows, columns)
 
     def experts(self) -> list[ExpertSummary]:
         """All experts, by cluster number."""
@@ -180,29 +233,28 @@ class Snapshot:
         members, sectors = dict(self.members), dict(self.sectors)
         touched: dict[int, dict[int, Member]] = {}
         areas: list[Bounds] = []
+        tiles: list[NDArray[np.int64]] = []
 
-        def content(key: int) -> dict[int, Member]:
-            if key not in touched:
-                touched[key] = dict(sectors[key].members) if key in sectors else {}
-            return touched[key]
+        def content(member: Member) -> Iterator[dict[int, Member]]:
+            areas.append(_reach(member))
+            tiles.append(member.reach.tiles)
+            for key in member.sectors:
+                if key not in touched:
+                    touched[key] = dict(sectors[key].members) if key in sectors else {}
+                yield touched[key]
 
         replaced = list(new)
         for cluster in [*gone, *(m.cluster_id for m in replaced)]:
             old = members.pop(cluster, None)
             if old is not None:
-                areas.append(_reach(old))
-                for key in old.sectors:
-                    content(key).pop(cluster, None)
+                for inside in content(old):
+                    inside.pop(cluster, None)
         for member in replaced:
             members[member.cluster_id] = member
-            areas.append(_reach(member))
-            for key in member.sectors:
-                content(key)[member.cluster_id] = member
-        for key, inside in touched.items():
-            if inside:
-                sectors[key] = build_sector(inside, key)
-            else:
-                sectors.pop(key, None)
+            for inside in content(member):
+                inside[member.cluster_id] = member
+        changed = np.concatenate(tiles) if tiles else None
+        self._rebuild(sectors, touched, changed)
         return Snapshot(
             version=self.version + 1,
             prior_variance=self.prior_variance,
@@ -212,6 +264,18 @@ class Snapshot:
             sectors=sectors,
             changed_bounds=union(areas),
         )
+
+    @staticmethod
+    def _rebuild(
+        sectors: dict[int, Sector],
+        touched: Mapping[int, Mapping[int, Member]],
+        changed: NDArray[np.int64] | None,
+    ) -> None:
+        for key, inside in touched.items():
+            if inside:
+                sectors[key] = build_sector(inside, key, sectors.get(key), changed)
+            else:
+                sectors.pop(key, None)
 
 
 def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:

@@ -14,19 +14,30 @@ Check = Callable[[], None]
 """Called before each piece; raises to give up."""
 
 
-def query(snapshot: Snapshot, points: NDArray[np.float64], fusion: str, check: Check) -> Prediction:
+def query(
+    snapshot: Snapshot,
+    points: NDArray[np.float64],
+    fusion: str,
+    check: Check,
+    method: str = "exact",
+) -> Prediction:
     """As `Snapshot.query`; points (N, 2)."""
     pieces = (points[at : at + PIECE_POINTS] for at in range(0, len(points) or 1, PIECE_POINTS))
-    return _join(snapshot, pieces, fusion, check)
+    return _join(snapshot, pieces, fusion, check, method)
 
 
 def grid(
-    snapshot: Snapshot, bbox: Bounds, resolution_m: float, fusion: str, check: Check
+    snapshot: Snapshot,
+    bbox: Bounds,
+    resolution_m: float,
+    fusion: str,
+    check: Check,
+    method: str = "exact",
 ) -> Prediction:
     """As `Snapshot.grid`: the cell centres of a raster, (rows, columns), row 0 at ymin."""
     rows, columns = grid_shape(bbox, resolution_m)
     pieces = _centres(bbox, resolution_m, rows, columns)
-    return _join(snapshot, pieces, fusion, check).reshape(rows, columns)
+    return _join(snapshot, pieces, fusion, check, method).reshape(rows, columns)
 
 
 def _centres(
@@ -39,12 +50,16 @@ def _centres(
 
 
 def _join(
-    snapshot: Snapshot, pieces: Iterable[NDArray[np.float64]], fusion: str, check: Check
+    snapshot: Snapshot,
+    pieces: Iterable[NDArray[np.float64]],
+    fusion: str,
+    check: Check,
+    method: str,
 ) -> Prediction:
     answers = []
     for piece in pieces:
         check()
-        answers.append(snapshot.query(piece, fusion))
+        answers.append(snapshot.query(piece, fusion, method))
     return Prediction(
         occupancy=np.concatenate([answer.occupancy for answer in answers]),
         mean=np.concatenate([answer.mean for answer in answers]),

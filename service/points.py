@@ -25,6 +25,7 @@ JSON = "application/json"
 NPY = "application/x-npy"
 
 Fusion = Literal["bcm", "poe", "rbcm"]
+Method = Literal["exact", "field"]
 
 
 def _to_points(value: Any) -> NDArray[np.float64]:
@@ -71,6 +72,11 @@ class PointsRequest(BaseModel):
 
     points: Points
     fusion: Fusion = Field("bcm", description="how experts are merged")
+    method: Method = Field(
+        "exact",
+        description="field interpolates where many points are asked for: a hundredth of the time, "
+        "and 99 of 100 probabilities within 0.01 of the exact ones",
+    )
 
 
 class PointsAnswer(BaseModel):
@@ -83,19 +89,23 @@ class PointsAnswer(BaseModel):
     known: list[bool] = Field(description="whether variance is clearly below the prior's")
 
 
-def read_request(body: bytes, media_type: str, fusion: str | None) -> PointsRequest:
+def read_request(
+    body: bytes, media_type: str, fusion: str | None, method: str | None = None
+) -> PointsRequest:
     """Decode a question.
 
     Args:
         body: as `media_type` says.
         media_type: `JSON` or `NPY`.
         fusion: rule named beside the body; a rule in a JSON body wins.
+        method: named beside the body, in the same way.
 
     Raises:
         InvalidQueryError: malformed; says what was expected.
         UnsupportedMediaError: another media type.
     """
-    fields: dict[str, Any] = {} if fusion is None else {"fusion": fusion}
+    beside = {"fusion": fusion, "method": method}
+    fields: dict[str, Any] = {name: value for name, value in beside.items() if value is not None}
     try:
         if media_type == JSON:
             content = from_json(body)
@@ -157,7 +167,7 @@ def predict(
     if count > points_max:
         message = f"{count} points in one query; at most {points_max} are allowed: split it"
         raise PayloadTooLargeError(message)
-    return piecewise.query(snapshot, request.points, request.fusion, check)
+    return piecewise.query(snapshot, request.points, request.fusion, check, request.method)
 
 
 def write_answer(prediction: Prediction, map_version: int, media_type: str) -> bytes:

@@ -55,7 +55,7 @@ def empty() -> bytes:
 def _coarse(snapshot: Snapshot, tile: TileAddress) -> _Samples:
     """Evaluate at pixel centres, or at several places in each pixel."""
     n = int(np.clip(np.ceil(tile.pixel_m / _SAMPLE_M), 1, _SAMPLES_MAX))
-    grid = snapshot.grid(tile.bounds, tile.pixel_m / n)
+    grid = snapshot.grid(tile.bounds, tile.pixel_m / n, method="field")
     if n == 1:
         return _Samples(grid.occupancy[::-1], grid.variance[::-1])
     known = grid.known

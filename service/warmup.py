@@ -34,5 +34,6 @@ def warm_up(config: MapConfig) -> None:
     for fusion in ("bcm", "rbcm", "poe"):
         snapshot.query(np.zeros((2, 2)), fusion)
     snapshot.grid((-1.0, -1.0, 1.0, 1.0), 0.5)
+    snapshot.grid((-0.2, -0.2, 0.2, 0.2), 0.01, method="field")  # enough cells to fill tiles
     snapshot.experts()
     logger.info("kernels are ready after %.1f s", time.perf_counter() - start_s)

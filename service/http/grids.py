@@ -11,7 +11,7 @@ from gpom_core.snapshot import Snapshot, grid_shape
 from service import nav2, piecewise, render
 from service.errors import PayloadTooLargeError
 from service.http.context import VERSION_HEADER, Service
-from service.points import NPY, Fusion, write_npy
+from service.points import NPY, Fusion, Method, write_npy
 
 router = APIRouter(tags=["raster"])
 
@@ -46,6 +46,9 @@ async def grid(
         nav2.Mode, Query(description="nav2: how map_server reads occupancy")
     ] = "trinary",
     fusion: Fusion = "bcm",
+    method: Annotated[
+        Method, Query(description="field: interpolated where much is asked for; or exact")
+    ] = "field",
 ) -> Response:
     """Draw a part of the map."""
     snapshot = service.state.snapshot
@@ -53,7 +56,7 @@ async def grid(
     _check_size(box, resolution, service.settings.http.grid_cells_max)
 
     def draw() -> bytes:
-        cells = piecewise.grid(snapshot, box, resolution, fusion, service.queries.check)
+        cells = piecewise.grid(snapshot, box, resolution, fusion, service.queries.check, method)
         if format == "nav2":
             prior = snapshot.prior_variance
             return nav2.archive(cells, box, resolution, mode=mode, prior_variance=prior)

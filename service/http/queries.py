@@ -13,6 +13,7 @@ from service.points import (
     JSON,
     NPY,
     Fusion,
+    Method,
     PointsAnswer,
     PointsRequest,
     predict,
@@ -57,10 +58,15 @@ _BODY = {
 }
 
 FusionQuery = Annotated[Fusion | None, Query(description="how experts are merged; bcm")]
+MethodQuery = Annotated[
+    Method | None, Query(description="exact, or field: interpolated, for many points; exact")
+]
 
 
 @router.post("/v1/query", responses=_ANSWER, openapi_extra=_BODY, response_class=Response)
-async def query_points(request: Request, service: Service, fusion: FusionQuery = None) -> Response:
+async def query_points(
+    request: Request, service: Service, fusion: FusionQuery = None, method: MethodQuery = None
+) -> Response:
     """Ask about many points; answers come in the form of the question unless Accept differs."""
     asked_in = media_type(request)
     if asked_in not in {JSON, NPY}:
@@ -71,7 +77,7 @@ async def query_points(request: Request, service: Service, fusion: FusionQuery =
     snapshot = service.state.snapshot
 
     def answer() -> bytes:
-        question = read_request(body, asked_in, fusion)
+        question = read_request(body, asked_in, fusion, method)
         points_max = service.settings.http.query_points_max
         prediction = predict(snapshot, question, points_max, service.queries.check)
         return write_answer(prediction, snapshot.version, answer_in)
@@ -87,12 +93,13 @@ async def query_point(
     x: Annotated[FiniteFloat, Query(description="m in the map frame", examples=[1.5])],
     y: Annotated[FiniteFloat, Query(description="m in the map frame", examples=[-2.0])],
     fusion: FusionQuery = None,
+    method: MethodQuery = None,
 ) -> Response:
     """Ask about one point."""
     answer_in = agree(request, (JSON, NPY))
     snapshot = service.state.snapshot
     # One point is answered here and now: faster than a trip through the pool.
-    prediction = snapshot.query(np.array([[x, y]]), fusion or "bcm")
+    prediction = snapshot.query(np.array([[x, y]]), fusion or "bcm", method or "exact")
     return _respond(
         write_answer(prediction, snapshot.version, answer_in), answer_in, snapshot.version
     )

@@ -77,6 +77,15 @@ def test_rule_in_the_body_wins_over_the_one_beside_it() -> None:
     assert read_request(write_npy(np.zeros((1, 2))), NPY, "poe").fusion == "poe"
 
 
+def test_a_question_may_name_its_method() -> None:
+    body = {"points": [], "method": "field"}
+    assert read_request(_json({"points": []}), JSON, None).method == "exact"
+    assert read_request(_json(body), JSON, None, "exact").method == "field"
+    assert read_request(write_npy(np.zeros((1, 2))), NPY, None, "field").method == "field"
+    with pytest.raises(InvalidQueryError, match="method"):
+        read_request(_json({"points": [], "method": "guess"}), JSON, None)
+
+
 @pytest.mark.parametrize(
     "body",
     [
