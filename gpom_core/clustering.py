@@ -87,7 +87,8 @@ class LineTracking:
         tolerance_m: farthest that a hit may lie from the line of its cluster.
         gap_m: longest distance between neighbours of a cluster, or 3 spacings of beams.
         least_hits: smaller clusters join the nearest, since two hits do not make a line.
-        longest_m: longer clusters are cut evenly.
+        longest_m: a longer cluster is cut into parts of equally many hits, as many as its length
+            needs.
     """
 
     tolerance_m: float = 0.15

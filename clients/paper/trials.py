@@ -19,7 +19,7 @@ from clients.paper.methods import (
 from clients.paper.regions import Cells, cells_of
 from gpom_core.committee import Fusion
 
-_REPEATS = 3  # the fastest counts: the machine may be busy
+_REPEATS = 10  # the fastest counts: the machine may be busy
 _PATIENCE_S = 2.0
 
 Progress = Callable[[str], None]
