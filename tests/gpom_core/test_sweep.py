@@ -3,7 +3,7 @@ from math import cos, pi, sin
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpom_core.errors import InvalidScanError
@@ -56,6 +56,7 @@ def test_a_robot_that_stands_still_is_left_alone() -> None:
     assert error_m(scan) < 1e-4
 
 
+@settings(max_examples=30)
 @given(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-0.3, 0.3), st.floats(-3.0, 3.0))
 def test_motion_within_a_sweep_is_taken_out(dx, dy, turn, yaw) -> None:
     first = from_planar(0.5, -0.4, yaw)
