@@ -119,6 +119,7 @@ class MapKeeper:
         self._current_ticket = 0
         self._settled_ticket = 0
         self._position = 0  # in the journal, of the last scan that was handed over
+        self._resumed_at = 0
         self._tail: Iterator[StoredScan] = iter(())
         self._restoring = False
         self._saver: Saver | None = None
@@ -152,6 +153,7 @@ class MapKeeper:
         """
         self._adopt(mapper)
         self._position, self._tail, self._saver = position, tail, saver
+        self._resumed_at = position
         self._restoring = True
 
     def _adopt(self, mapper: Mapper) -> None:
@@ -286,6 +288,8 @@ class MapKeeper:
         elif self._training.idle:
             logger.info("the map is restored: scans=%d", self._integrated)
             self._restoring = False
+            if self._saver is not None and self._position > self._resumed_at:
+                self._saver.hurry()
         else:
             time.sleep(_SLICE_S)
 

@@ -52,6 +52,10 @@ class Saver:
             return None
         return max(0.0, self._next_s - self._clock.monotonic_s())
 
+    def hurry(self) -> None:
+        """Want the next offer now: what was just restored need not be integrated once more."""
+        self._next_s = self._clock.monotonic_s()
+
     def offer(self, mapper: Mapper, position: int) -> None:
         """Copy the map if it is time. Called by the thread that owns it."""
         self._offered = position

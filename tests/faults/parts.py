@@ -99,7 +99,7 @@ class Service(Part):
         return until(self.is_ready, timeout_s, f"ready; see {self.log.read_text()[-2000:]}")
 
     def flush(self) -> dict:
-        reply = httpx.post(self.http + "/v1/flush", json={"timeout_s": 200.0}, timeout=210.0)
+        reply = httpx.post(self.http + "/v1/flush", json={"timeout_s": 500.0}, timeout=510.0)
         assert reply.is_success, reply.text
         return reply.json()
 
@@ -183,7 +183,7 @@ class Robot:
         self._publisher.__enter__()
         self._thread.start()
 
-    def finish(self, timeout_s: float = 120.0) -> None:
+    def finish(self, timeout_s: float = 600.0) -> None:
         """Stop producing, and wait until all is acknowledged."""
         self._stop.set()
         self._thread.join()

@@ -47,6 +47,7 @@ def test_ten_times_the_sustainable_load_for_a_minute(tmp_path, run) -> None:
 _ROBOT = """
 import sys, time
 from dataclasses import replace
+from pathlib import Path
 from clients.outbox import OutboxSettings
 from clients.publisher import ScanPublisher
 from tests.service.rooms import scan_at
