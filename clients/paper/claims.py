@@ -64,7 +64,9 @@ def check_claims(summary: Mapping[str, Any], ratios: Mapping[str, Any]) -> list[
                 f"{lt:.4f} against {dp:.4f}",
             )
         )
-    for name in ("DP", "LT"):
+    for name in ("DP", "LT", "DP, cut beams", "LT, cut beams"):
+        if name not in summary:
+            continue
         for region in ("observed", "everything"):
             bcm, poe, rbcm = (mean(f"{name} {f}", region, "nll") for f in ("bcm", "poe", "rbcm"))
             claims.append(
