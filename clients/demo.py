@@ -25,7 +25,7 @@ from clients.map_client import MapClient
 HOST = "127.0.0.1"
 HTTP_PORT = 8080
 ZENOH_PORT = 7447
-START_TIMEOUT_S = 180.0  # the first start compiles the loops
+START_TIMEOUT_S = 900.0  # the first start compiles the loops: minutes on a busy machine
 POLL_S = 0.25
 REFRESH_S = 1.0
 PLAIN_REFRESH_S = 5.0  # without a terminal, each refresh is a line of its own
@@ -55,7 +55,7 @@ def demo(
     with ExitStack() as stack:
         stop = stack.enter_context(stop_on_signal())
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gpom-demo-")))
-        console.print("starting the map service; its very first start takes a minute …")
+        console.print("starting the map service; its very first start compiles for a minute or more …")
         service = stack.enter_context(_gpom("serve", logs, *_serve_flags(url, endpoint)))
         site = stack.enter_context(MapClient(url))
         if not _wait_until_ready(site, service, stop):

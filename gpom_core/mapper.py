@@ -115,6 +115,7 @@ class Mapper:
         self._learning = learning_rule(self.config)
         self._training: set[int] = set()
         self._gone: set[int] = set()
+        self._splits: list[tuple[int, int]] = []  # cluster, its new half; in order
         self._scans = 0
         self._calibrated = 0  # observations in the map when it was calibrated
         self._uncalibrated = 0  # observations trained since
@@ -179,6 +180,7 @@ class Mapper:
             if len(observations) > self.config.max_observations:
                 halves = self._evidence.split(cluster, by_hits=False)
                 if halves:
+                    self._splits.append((cluster, halves[1]))
                     waiting.extend(halves)
                     continue
             self._training.add(cluster)
@@ -196,6 +198,11 @@ class Mapper:
                 )
             )
         return jobs
+
+    def take_splits(self) -> list[tuple[int, int]]:
+        """Clusters that `take_jobs` halved since the last call, each with its new half, in order."""
+        splits, self._splits = self._splits, []
+        return splits
 
     def _learned(self, cluster: int) -> Hyperparameters | None:
         member = self._snapshot.members.get(cluster)

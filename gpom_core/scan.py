@@ -27,7 +27,8 @@ MAX_RANGE_M = 1e6
 
 # Everything that travels as float32 is checked as float32, so whatever is a scan can be sent.
 _FLOAT32_FIELDS = struct.Struct("<12f")
-_UINT64_END = 1 << 64
+_BOOT_END = (1 << 63) - 1  # ns; far beyond any clock, with room for the run after it
+_SEQ_END = 1 << 48  # a thousand scans a second for nine thousand years, and exact in JSON
 _INT64_END = 1 << 63
 
 
@@ -170,8 +171,10 @@ def _check_pose(pose: Pose2D) -> None:
 
 
 def _check_counters(scan: Scan) -> None:
-    if not (0 <= scan.boot < _UINT64_END and 0 <= scan.seq < _UINT64_END):
-        message = f"boot {scan.boot} and seq {scan.seq} must be unsigned 64-bit numbers"
+    if not (0 <= scan.boot < _BOOT_END and 0 <= scan.seq < _SEQ_END):
+        message = (
+            f"boot {scan.boot} and seq {scan.seq} are implausible; expected below 2^63 - 1 and 2^48"
+        )
         raise InvalidScanError("bad_sequence", message)
     if not -_INT64_END <= scan.stamp_ns < _INT64_END:
         message = f"stamp {scan.stamp_ns} ns must be a signed 64-bit number"

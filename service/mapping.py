@@ -8,7 +8,7 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
@@ -80,6 +80,13 @@ class _Flush:
             self.missing, self.turn = set(dirty), turn
         self.missing &= dirty
         return not self.missing
+
+    def follow(self, splits: Sequence[tuple[int, int]]) -> None:
+        """Look at what was halved: the evidence of a missing expert is in both halves."""
+        if self.missing is not None:
+            for cluster, half in splits:
+                if cluster in self.missing:
+                    self.missing.add(half)
 
     def note(self, turns: Mapping[int, int]) -> None:
         """Look at what was swapped in."""
@@ -337,10 +344,12 @@ class MapKeeper:
         )
 
     def _settle(self, turns: Mapping[int, int]) -> None:
+        splits = self._mapper.take_splits()
         with self._changed:
             flushes, self._flushes = self._flushes, []
         waiting = []
         for flush in flushes:
+            flush.follow(splits)
             flush.note(turns)
             if flush.advance(self._settled_ticket, self.state.dirty, self._training.turn):
                 if flush.done.set_running_or_notify_cancel():

@@ -147,9 +147,9 @@ def test_a_scan_survives_pickling() -> None:
         ({"pose_covariance": (1e300,) + (0.0,) * 5}, "too_large"),
         ({"intensities": [1.0, 2.0]}, "bad_intensity_count"),
         ({"seq": -1}, "bad_sequence"),
-        ({"seq": 1 << 64}, "bad_sequence"),
+        ({"seq": 1 << 48}, "bad_sequence"),
         ({"seq": 1.5}, "bad_field"),
-        ({"boot": 1 << 64}, "bad_sequence"),
+        ({"boot": (1 << 63) - 1}, "bad_sequence"),
         ({"stamp_ns": 1 << 63}, "bad_stamp"),
     ],
 )

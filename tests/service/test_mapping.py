@@ -18,9 +18,9 @@ from tests.service.rooms import scan_at
 
 
 class Rig:
-    def __init__(self, **ingest) -> None:
+    def __init__(self, config: MapConfig | None = None, **ingest) -> None:
         self.pool = ThreadPoolExecutor(1)
-        self.mapper = Mapper()
+        self.mapper = Mapper(config)
         self.metrics = Metrics()
         self.keeper = MapKeeper(
             self.mapper,
@@ -49,8 +49,8 @@ class Rig:
 def rig():
     rigs = []
 
-    def make(**ingest) -> Rig:
-        rigs.append(Rig(**ingest))
+    def make(*config, **ingest) -> Rig:
+        rigs.append(Rig(*config, **ingest))
         return rigs[-1]
 
     yield make
@@ -73,6 +73,15 @@ def test_flush_means_integrated_and_trained(rig) -> None:
     assert state.experts == len(state.snapshot.experts()) > 0
     assert state.observations > 0
     assert rig.keeper.trouble() is None
+
+
+def test_flush_waits_for_the_halves_of_experts_that_are_split(rig) -> None:
+    one = rig(MapConfig(max_observations=16, coarse_levels=0))
+    one.keeper.worker.start()
+    ticket = one.offer(*(scan_at(0.2 * i, 0.1 * i) for i in range(3)))
+    one.keeper.flush(ticket).result(timeout=60.0)
+    assert one.keeper.state.experts > 20
+    assert not one.keeper.state.dirty
 
 
 def test_flush_of_an_empty_map_is_done_at_once(rig) -> None:
