@@ -187,7 +187,9 @@ def tune(
     ):
         best = outcome if better else best
         mark = "  best so far" if better else ""
-        console.print(f"{number:3}  {what:24} {_line(outcome)}{mark}", highlight=False)
+        console.print(
+            f"{number:3}  {what:24} {_line(outcome)}{mark}", highlight=False, soft_wrap=True
+        )
     if best is None:
         raise ConfigurationError("no configuration was tried; expected at least one trial")
     text = f"# {_line(best)}\n" + as_yaml(best.config)
