@@ -55,7 +55,9 @@ def demo(
     with ExitStack() as stack:
         stop = stack.enter_context(stop_on_signal())
         logs = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="gpom-demo-")))
-        console.print("starting the map service; its very first start compiles for a minute or more …")
+        console.print(
+            "starting the map service; its first start ever compiles for a minute or two …"
+        )
         service = stack.enter_context(_gpom("serve", logs, *_serve_flags(url, endpoint)))
         site = stack.enter_context(MapClient(url))
         if not _wait_until_ready(site, service, stop):

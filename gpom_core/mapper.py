@@ -200,7 +200,7 @@ class Mapper:
         return jobs
 
     def take_splits(self) -> list[tuple[int, int]]:
-        """Clusters that `take_jobs` halved since the last call, each with its new half, in order."""
+        """Clusters that `take_jobs` halved since last asked, with their new halves, in order."""
         splits, self._splits = self._splits, []
         return splits
 
