@@ -71,27 +71,32 @@ def _claim_free_areas(
     edge = TILE_CELLS * cell_m
     for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
         for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
-            if gap_to_tile(tx, ty, x, y, cell_m) >= near_m:
+            gap = gap_to_tile(tx, ty, x, y, cell_m)
+            if gap >= near_m:
                 continue
             tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
-            if tile == NONE or tiles.used[tile, FREE] == 0:
+            # most tiles have surfaces of their own, nearer than this one
+            if tile == NONE or tiles.used[tile, FREE] == 0 or gap >= tiles.far_m[tile]:
                 continue
+            far = 0.0
             for place in range(TILE_CELLS * TILE_CELLS):
                 row = tiles.free[tile, place]
                 if row == NONE:
                     continue
-                d = np.hypot(
-                    0.5 * (rows.geometry[row, 0, 0] + rows.geometry[row, 1, 0]) - x,
-                    0.5 * (rows.geometry[row, 0, 1] + rows.geometry[row, 1, 1]) - y,
-                )
+                dx = (tx * TILE_CELLS + (place >> TILE_SHIFT) + 0.5) * cell_m - x
+                dy = (ty * TILE_CELLS + (place & (TILE_CELLS - 1)) + 0.5) * cell_m - y
+                d = np.sqrt(dx * dx + dy * dy)
                 if d >= near_m or d >= rows.near[row]:
+                    far = max(far, rows.near[row])
                     continue
+                far = max(far, d)
                 rows.near[row] = d
                 if rows.owner[row] != home:
                     clusters.fresh[rows.owner[row]] += 1
                     clusters.fresh[home] += 1
                     detach(rows, clusters.head, clusters.rows, row)
                     attach(rows, clusters.head, clusters.rows, row, home)
+            tiles.far_m[tile] = far
 
 
 @compiled
@@ -101,19 +106,25 @@ def _nearest_hit(
     """Row of the nearest hit within `near_m` of (x, y), or NONE, and its distance."""
     best, nearest = NONE, near_m
     edge = TILE_CELLS * cell_m
-    for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
-        for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
-            if gap_to_tile(tx, ty, x, y, cell_m) >= nearest:
-                continue
-            tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
-            if tile == NONE or tiles.used[tile, HIT] == 0:
-                continue
-            for place in range(TILE_CELLS * TILE_CELLS):
-                hit = tiles.hit[tile, place]
-                if hit != NONE:
-                    d = np.hypot(x - rows.geometry[hit, 0, 0], y - rows.geometry[hit, 0, 1])
-                    if d < nearest:
-                        best, nearest = hit, d
+    middle_x, middle_y = int(np.floor(x / edge)), int(np.floor(y / edge))
+    ring = 0
+    while (ring - 1) * edge < nearest:  # rings of tiles, from the inside out
+        for tx in range(middle_x - ring, middle_x + ring + 1):
+            whole = abs(tx - middle_x) == ring
+            for ty in range(middle_y - ring, middle_y + ring + 1, 1 if whole else 2 * ring):
+                if gap_to_tile(tx, ty, x, y, cell_m) >= nearest:
+                    continue
+                tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
+                if tile == NONE or tiles.used[tile, HIT] == 0:
+                    continue
+                for place in range(TILE_CELLS * TILE_CELLS):
+                    hit = tiles.hit[tile, place]
+                    if hit != NONE:
+                        dx, dy = x - rows.geometry[hit, 0, 0], y - rows.geometry[hit, 0, 1]
+                        d = np.sqrt(dx * dx + dy * dy)
+                        if d < nearest:
+                            best, nearest = hit, d
+        ring += 1
     return best, (nearest if best != NONE else np.inf)
 
 
@@ -134,6 +145,7 @@ def _new_free_area(
     hit, rows.near[row] = _nearest_hit(
         (ix + 0.5) * cell_m, (iy + 0.5) * cell_m, rows, tiles, cell_m, near_m
     )
+    tiles.far_m[tile] = max(tiles.far_m[tile], rows.near[row])
     if hit != NONE:
         home = rows.owner[hit]
     elif tiles.first[tile] == NONE:

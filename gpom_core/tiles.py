@@ -27,6 +27,7 @@ class Tiles(NamedTuple):
         free: (t, 64) row of the free area of each cell.
         hit: (t, 64) row of the first hit in each cell.
         used: (t, 2) how many cells have a free area, and how many a hit.
+        far_m: (t,) no free area of the tile is farther from its nearest hit.
         first: (t,) row of the tile's first free area in the open: its cluster is at home here.
     """
 
@@ -35,6 +36,7 @@ class Tiles(NamedTuple):
     free: NDArray[np.int32]
     hit: NDArray[np.int32]
     used: NDArray[np.int32]
+    far_m: NDArray[np.float64]
     first: NDArray[np.int32]
     size: NDArray[np.int64]
 
@@ -47,6 +49,7 @@ def new_tiles(capacity: int = 256) -> Tiles:
         free=np.full((capacity, _AREA), NONE, np.int32),
         hit=np.full((capacity, _AREA), NONE, np.int32),
         used=np.zeros((capacity, 2), np.int32),
+        far_m=np.full(capacity, np.inf),
         first=np.full(capacity, NONE, np.int32),
         size=np.zeros(1, np.int64),
     )
@@ -58,7 +61,7 @@ def with_room(tiles: Tiles, extra: int) -> Tiles:
     if used + extra <= capacity:
         return tiles
     grown = new_tiles(max(2 * capacity, used + extra))
-    for name in ("free", "hit", "used", "first"):
+    for name in ("free", "hit", "used", "far_m", "first"):
         getattr(grown, name)[:used] = getattr(tiles, name)[:used]
     _index(grown, tiles.keys[:used])
     return grown
