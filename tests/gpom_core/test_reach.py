@@ -57,3 +57,11 @@ def test_reach_is_the_same_far_from_the_origin(shift: tuple[float, float]) -> No
 def test_no_observations_reach_nothing() -> None:
     reach = reach_of(np.empty((0, 2, 2)), TILE_M, CUTOFF_M)
     assert len(reach.tiles) == len(reach.members) == 0
+
+
+def test_shapes_far_apart_are_listed_as_those_close_by() -> None:
+    shapes = random_shapes()
+    apart = shapes + np.where(np.arange(len(shapes)) < 12, 0.0, 4000.0)[:, None, None]
+    near, far = listed(apart[:12]), listed(apart)
+    assert {key: far[key] for key in near} == near
+    assert len(far) > len(near)
