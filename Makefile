@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 SOAK_S ?= 1800
-.PHONY: help setup demo test check format bench fault-test fuzz soak clean
+.PHONY: help setup demo test check format bench fault-test fuzz soak browser container-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 16
@@ -57,6 +57,13 @@ fuzz: setup ## a million inputs from a coverage-guided fuzzer for the decoder of
 
 soak: setup ## 30 minutes of steady load; SOAK_S=… seconds. Memory, files and threads stay flat
 	@PYTHONPATH=. $(BIN)/python -m tests.soak.steady $(SOAK_S)
+
+browser: ## install Chromium for the tests of the live map (Debian, root); else they are skipped
+	@apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y \
+		--no-install-recommends chromium fonts-dejavu-core > /dev/null
+
+container-test: ## build the image and run the compose file for real; CONTAINERS_INSTALL=1 gets the tools
+	@bash tests/containers/run.sh || { code=$$?; test $$code = 77; }
 
 clean: ## remove caches and build products, but not $(VENV)
 	@rm -rf build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
