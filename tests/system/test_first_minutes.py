@@ -30,11 +30,10 @@ def write_log(path: Path) -> None:
     """A robot that drives a metre through a room, as CARMEN writes it."""
     lines = []
     for step in range(12):
-        angles = np.deg2rad(np.arange(180) - 90.0)
+        angles = np.deg2rad(np.arange(180) - 89.5)
         along = np.column_stack((np.cos(angles), np.sin(angles)))
         position = np.array([0.1 * step, 0.0])
-        with np.errstate(divide="ignore"):
-            ranges = np.min((np.sign(along) * 4.0 - position) / along, axis=1)
+        ranges = np.min((np.sign(along) * 4.0 - position) / along, axis=1)
         pose = f"{position[0]} 0 0 {position[0]} 0 0"
         readings = " ".join(f"{r:.2f}" for r in ranges)
         lines.append(f"FLASER 180 {readings} {pose} {step}.0 host {step}.0\n")
