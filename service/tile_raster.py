@@ -17,6 +17,7 @@ Theme = Literal["light", "dark"]
 
 # Coarser than this a pixel would step over walls: it shows the most occupied of several samples.
 _SAMPLE_M = 2.0**-3
+_DRAFT_PIXELS = 4  # edge of what a draft has for a pixel
 _SAMPLES_MAX = 4  # along each edge of a pixel
 _FADE = 0.1  # of the prior variance, on both sides of where the known ends
 _SHADES = 64  # enough for the eye, few enough to compress well
@@ -30,9 +31,20 @@ class _Samples:
     variance: NDArray[np.float64]
 
 
-def draw(snapshot: Snapshot, tile: TileAddress, layer: TileLayer, theme: Theme) -> bytes:
-    """Draw a tile as PNG; what is not known is transparent."""
-    samples = _sample(snapshot, tile)
+def draw(
+    snapshot: Snapshot,
+    tile: TileAddress,
+    layer: TileLayer,
+    theme: Theme,
+    *,
+    draft: bool = False,
+) -> bytes:
+    """Draw a tile as PNG; what is not known is transparent. A draft is coarse, and soon there."""
+    if draft:
+        grid = snapshot.grid(tile.bounds, tile.pixel_m * _DRAFT_PIXELS, method="field")
+        samples = _Samples(grid.occupancy[::-1], grid.variance[::-1])
+    else:
+        samples = _sample(snapshot, tile)
     ratio = samples.variance / snapshot.prior_variance
     threshold = snapshot.known_variance_ratio
     known = np.clip((threshold + _FADE - ratio) / (2.0 * _FADE), 0.0, 1.0)
@@ -76,7 +88,10 @@ def _png(
     pixels[..., :3] = palettes.table(palette, _SHADES)[steps]
     pixels[..., 3] = np.rint(alpha * 255.0)
     pixels[pixels[..., 3] == 0] = 0  # what nobody sees compresses best when it is all the same
-    return _encode(Image.fromarray(pixels))
+    image = Image.fromarray(pixels)
+    if image.width != TILE_PIXELS:
+        image = image.resize((TILE_PIXELS, TILE_PIXELS), Image.Resampling.BILINEAR)
+    return _encode(image)
 
 
 def _encode(image: Image.Image) -> bytes:

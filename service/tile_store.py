@@ -53,6 +53,7 @@ class TileKey:
     layer: TileLayer
     theme: Theme
     stamp: int
+    draft: bool = False
 
 
 class TileStore:
@@ -86,6 +87,10 @@ class TileStore:
                 self._stamps = self._stamps.followed_by(snapshot)
             return self._stamps
 
+    def has(self, key: TileKey) -> bool:
+        """Tell whether a picture is here already."""
+        return key.stamp == 0 or key in self._pictures
+
     def picture(self, key: TileKey, snapshot: Snapshot) -> "bytes | Future[bytes]":
         """Give a tile's PNG at once, or a future of it.
 
@@ -110,7 +115,7 @@ class TileStore:
         return future
 
     def _drawing(self, key: TileKey, snapshot: Snapshot) -> Callable[[], bytes]:
-        return lambda: draw(snapshot, key.tile, key.layer, key.theme)
+        return lambda: draw(snapshot, key.tile, key.layer, key.theme, draft=key.draft)
 
     def _keep(self, key: TileKey, done: "Future[bytes]") -> None:
         with self._lock:

@@ -1,6 +1,7 @@
 """Tiles of a slippy map: GET /v1/tiles/{layer}/{z}/{x}/{y}.png."""
 
 import asyncio
+from dataclasses import replace
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Header, Path, Query, Response
@@ -41,6 +42,9 @@ async def tile(
     x: Index,
     y: Index,
     theme: Annotated[Theme, Query(description="background that the colours are for")] = "light",
+    draft: Annotated[
+        bool, Query(description="rather a coarse picture at once, without an ETag, than a wait")
+    ] = False,
     if_none_match: Annotated[str | None, Header()] = None,
 ) -> Response:
     """Draw one tile of the live map."""
@@ -56,6 +60,9 @@ async def tile(
     }
     if if_none_match is not None and _matches(etag, if_none_match):
         return Response(status_code=304, headers=headers)
+    if draft and not store.has(key):
+        key = replace(key, draft=True)
+        headers = {VERSION_HEADER: headers[VERSION_HEADER], "Cache-Control": "no-store"}
     picture = store.picture(key, stamps.snapshot)
     if not isinstance(picture, bytes):
         # Others may wait for the same drawing, so one who goes away does not cancel it.

@@ -92,16 +92,17 @@ export const LiveTiles = L.GridLayer.extend({
     const { live } = tile;
     const { x, y, z } = live.coords;
     const { layer, theme } = this._look;
-    const address = `v1/tiles/${layer}/${z + RETINA}/${x}/${y}.png?theme=${theme}`;
+    const address = `v1/tiles/${layer}/${z + RETINA}/${x}/${y}.png?theme=${theme}${live.done ? "&draft=1" : ""}`;
     // The browser sends the ETag along, and answers from its cache when nothing changed.
     const answer = await fetch(address, { signal: live.abort.signal });
     if (!answer.ok) throw new Error(`${answer.status}`);
-    const etag = answer.headers.get("ETag");
+    const etag = answer.headers.get("ETag"); // none: a draft
     live.tries = 0;
-    if (etag !== live.etag) {
-      live.etag = etag;
+    if (etag === null || etag !== live.etag) {
+      live.etag = etag ?? "";
       await show(tile, await answer.blob());
     }
+    if (etag === null) this._waiting.add(tile); // the real one, when all drafts are there
     const { done } = live;
     live.done = null;
     done?.(null, tile);

@@ -168,6 +168,20 @@ class TestRoute:
         assert after.status_code == 200
         assert after.headers["etag"] != first.headers["etag"]
 
+    def test_a_draft_is_coarse_and_gives_way_to_the_real_one(self, client, source) -> None:
+        self.map_a_room(client, source)
+        path = "/v1/tiles/occupancy/5/0/0.png"
+        draft = client.get(f"{path}?draft=1")
+        real = client.get(path)
+        again = client.get(f"{path}?draft=1")
+
+        assert "etag" not in draft.headers
+        assert draft.headers["cache-control"] == "no-store"
+        assert draft.content != real.content == again.content
+        assert "etag" in again.headers
+        near = np.abs(pixels(draft.content).astype(int) - pixels(real.content)).mean()
+        assert near < 10
+
     def test_an_empty_map_has_tiles(self, client) -> None:
         tile = client.get("/v1/tiles/state/-4/-3/7.png?theme=dark")
 
