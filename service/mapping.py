@@ -35,6 +35,8 @@ logger = logging.getLogger(__name__)
 
 _TAIL_SCANS = 256
 _SLICE_S = 0.03  # longest stretch of integration before training gets its turn
+_LONG_SLICE_S = 0.2  # with a backlog: experts trained less often cost less, and nobody waits longer
+_BACKLOG_SCANS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -266,7 +268,9 @@ class MapKeeper:
             self._poked = False
             if self._stopping:
                 return False
-            if not self._current and not self._restoring and self._batches:
+            # All that waits: a step of training after each batch would be one after each scan.
+            room = 0 if self._current or self._restoring else _TAIL_SCANS
+            while self._batches and len(self._current) < room:
                 batch = self._batches.popleft()
                 self._current.extend(batch.records)
                 self._current_ticket, self._position = batch.ticket, batch.position
@@ -307,7 +311,8 @@ class MapKeeper:
 
     def _integrate(self) -> None:
         done = 0
-        end_s = self._clock.monotonic_s() + _SLICE_S
+        slice_s = _LONG_SLICE_S if self._backlog > _BACKLOG_SCANS else _SLICE_S
+        end_s = self._clock.monotonic_s() + slice_s
         while self._current and (done == 0 or self._clock.monotonic_s() < end_s):
             record = self._current.popleft()
             done += 1

@@ -21,6 +21,9 @@ from service.settings import HttpSettings, Settings
 
 logger = logging.getLogger(__name__)
 
+# Threads that come back from compiled code wait this long for one that is in Python: with the
+# interpreter's 5 ms, scans and single points would wait for training again and again.
+_SWITCH_S = 5e-4
 _GRACE_S = 2  # for answers under way when the end comes
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -37,6 +40,7 @@ def run(settings: Settings, announce: Callable[[str], None]) -> None:
         SourceError: an address is taken or cannot be listened on; nothing is left running.
     """
     check_exposure(settings)
+    sys.setswitchinterval(_SWITCH_S)
     listener = _listen(settings.http)
     with listener:
         asyncio.run(_serve(settings, listener, announce))

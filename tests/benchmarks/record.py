@@ -1,6 +1,6 @@
 """Figures of a benchmark: printed as JSON beside those that were committed last.
 
-With GPOM_BENCH_KEEP set they are written to `results/`, to be committed.
+With BENCH_KEEP set they are written to `results/`, to be committed.
 """
 
 import json
@@ -27,7 +27,7 @@ def record(name: str, command: str, figures: Figures) -> None:
     }
     shown = {"command": command, "figures": figures}
     print("\n" + json.dumps({**shown, "times_the_last_committed": times}, indent=1))
-    if os.environ.get("GPOM_BENCH_KEEP"):
+    if os.environ.get("BENCH_KEEP"):
         kept.write_text(json.dumps(shown, indent=1) + "\n")
 
 

@@ -1,0 +1,152 @@
+"""The running service under ten robots: latency, freshness, bulk answers, losses and memory.
+
+Processes of their own, as on a site: a service, a fleet of 10 robots with 10 scans of 360 beams a
+second each, and this one that asks. Twenty seconds by default, five minutes with BENCH_FULL.
+All share one machine, and what other work it has shows.
+"""
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import httpx
+import numpy as np
+import pytest
+
+from clients.publisher import ScanPublisher
+from service.points import NPY, write_npy
+from tests.benchmarks.record import Figures, record, rounded
+from tests.service.rooms import HALF_M, scan_at
+
+COMMAND = "make bench, or pytest tests/benchmarks/test_service_speed.py -m benchmark -s"
+START_TIMEOUT_S = 900.0
+ROBOTS, RATE_HZ, BEAMS = 10, 10, 360
+LOAD_S = 300.0 if os.environ.get("BENCH_FULL") else 20.0
+SETTLE_S = 5.0
+PROBE_EVERY_S = 0.5
+LOST_AFTER_S = 30.0
+BATCH = 100_000
+GRID = {"bbox": "0,0,25.6,25.6", "resolution": "0.1", "format": "npy"}
+
+
+@dataclass(frozen=True)
+class Site:
+    http: str
+    zenoh: str
+    pid: int
+
+    def memory_mb(self) -> float:
+        status = Path(f"/proc/{self.pid}/status").read_text()
+        return int(re.search(r"VmRSS:\s+(\d+)", status).group(1)) / 1024.0  # type: ignore[union-attr]
+
+
+def gpom(*arguments: str) -> tuple[str, ...]:
+    return (sys.executable, "-m", "clients.cli", *arguments)
+
+
+@pytest.fixture
+def site() -> Iterator[Site]:
+    flags = ("--port", "0", "--zenoh-listen", "tcp/127.0.0.1:0")
+    # The service takes what begins with GPOM_ for its settings.
+    ours = {name: value for name, value in os.environ.items() if not name.startswith("GPOM_")}
+    serve = gpom("serve", *flags)
+    with subprocess.Popen(serve, stdout=subprocess.PIPE, text=True, env=ours) as process:
+        try:
+            found = re.search(r"http=(\S+) zenoh=(\S+)", process.stdout.readline())  # type: ignore[union-attr]
+            assert found is not None
+            site = Site(found.group(1), found.group(2), process.pid)
+            end_s = time.monotonic() + START_TIMEOUT_S
+            while httpx.get(f"{site.http}/readyz").status_code != 200:
+                assert time.monotonic() < end_s, "not ready in time"
+                time.sleep(0.5)
+            yield site
+        finally:
+            process.terminate()
+
+
+def latency_ms(call: Callable[[], httpx.Response]) -> float:
+    start_s = time.perf_counter()
+    call().raise_for_status()
+    return 1e3 * (time.perf_counter() - start_s)
+
+
+def percentiles(name: str, values: list[float], *shares: int) -> Figures:
+    return {f"{name}_p{s}": rounded(float(np.percentile(values, s))) for s in shares}
+
+
+def freshness_ms(client: httpx.Client, publisher: ScanPublisher, number: int) -> float:
+    """From publication of a scan of a room that nobody saw to its wall being known."""
+    x = 200.0 + 10.0 * number
+    publisher.publish(scan_at(x, 0.0, room=(x, 0.0)))
+    start_s = time.perf_counter()
+    while not client.get("/v1/query", params={"x": x + HALF_M, "y": 0.1}).json()["known"][0]:
+        if time.perf_counter() - start_s > LOST_AFTER_S:
+            break
+        time.sleep(0.01)
+    return 1e3 * (time.perf_counter() - start_s)
+
+
+@pytest.mark.benchmark
+@pytest.mark.timeout(3600)
+def test_a_fleet_and_its_questions(site: Site) -> None:
+    fleet = gpom(
+        "simulate", "--robots", str(ROBOTS), "--rate", str(RATE_HZ), "--beams", str(BEAMS),
+        "--duration", str(LOAD_S + SETTLE_S), "--connect", site.zenoh,
+    )  # fmt: skip
+    one, fresh, grids, memory, backlog = [], [], [], [], []
+    with (
+        httpx.Client(base_url=site.http, timeout=60.0) as client,
+        ScanPublisher("probe", endpoints=[site.zenoh]) as publisher,
+        subprocess.Popen(fleet, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as robots,
+    ):
+        publisher.wait_ready(60.0)
+        while len(client.get("/v1/status").json()["robots"]) < ROBOTS:
+            time.sleep(0.2)
+        time.sleep(SETTLE_S)
+        end_s, number = time.monotonic() + LOAD_S, 0
+        while time.monotonic() < end_s:
+            for x in np.linspace(1.0, 25.0, 10):
+                where = {"x": str(x), "y": "8.0"}
+                one.append(latency_ms(lambda w=where: client.get("/v1/query", params=w)))
+            fresh.append(freshness_ms(client, publisher, number))
+            grids.append(latency_ms(lambda: client.get("/v1/grid", params=GRID)))
+            status = client.get("/v1/status").json()
+            backlog.append(status["scans_received"] - status["scans_integrated"])
+            memory.append(site.memory_mb())
+            number += 1
+            time.sleep(PROBE_EVERY_S)
+        robots.wait(120.0)
+        status = client.get("/v1/status").json()
+        client.post("/v1/flush", json={"timeout_s": 60.0}).raise_for_status()
+        idle_one = [
+            latency_ms(lambda: client.get("/v1/query", params={"x": "5", "y": "5"}))
+            for _ in range(200)
+        ]
+        points = np.random.default_rng(0).uniform((0.0, 0.0), (30.0, 20.0), (BATCH, 2))
+        body, headers = write_npy(points), {"Content-Type": NPY}
+        where = "/v1/query?method=field"
+        bulk = [
+            latency_ms(lambda: client.post(where, content=body, headers=headers)) for _ in range(25)
+        ]
+        idle_grids = [latency_ms(lambda: client.get("/v1/grid", params=GRID)) for _ in range(40)]
+    figures: Figures = {
+        "load_s": LOAD_S,
+        "scans_received": float(status["scans_received"]),
+        "scans_lost": float(sum(robot["lost"] for robot in status["robots"])),
+        "backlog_max": float(max(backlog)),
+        "memory_first_mb": rounded(memory[0]),
+        "memory_last_mb": rounded(memory[-1]),
+        **percentiles("one_point_under_load_ms", one, 50, 99),
+        **percentiles("freshness_ms", fresh, 50, 95),
+        **percentiles("grid_256_under_load_ms", grids, 50, 95),
+        **percentiles("one_point_idle_ms", idle_one, 50, 99),
+        **percentiles("grid_256_idle_ms", idle_grids[-20:], 50, 95),
+        "bulk_points_per_s": rounded(1e3 * BATCH / float(np.median(bulk[-10:]))),
+    }
+    record("service", COMMAND, figures)
+    assert figures["scans_lost"] == 0.0
