@@ -23,7 +23,8 @@ SCANS = 12
 GRID = "nav_msgs/msg/OccupancyGrid"
 RESOLUTION_M = 0.1
 BOX = (-4.0, -4.0, 4.0, 4.0)
-CONFIG = """
+CONFIG = """map: {max_observations: 2000} # where experts are split depends on when they are trained
+
 ros:
   transports: [rmw_zenoh]
   map: {resolution_m: 0.1, interval_s: 0.1, full_interval_s: 0.5}
