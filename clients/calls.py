@@ -85,7 +85,7 @@ class Call(Generic[T]):
             ) from error
 
 
-def query(points: ArrayLike, fusion: str) -> Call[MapPrediction]:
+def query(points: ArrayLike, fusion: str, method: str = "exact") -> Call[MapPrediction]:
     """Ask about points (N, 2) in m; raises InvalidQueryError when they are of another shape."""
     try:
         array = np.ascontiguousarray(points, dtype=np.float64)
@@ -101,7 +101,7 @@ def query(points: ArrayLike, fusion: str) -> Call[MapPrediction]:
         "POST",
         "/v1/query",
         lambda response: _read_prediction(response, len(array)),
-        params={"fusion": fusion},
+        params={"fusion": fusion} | ({} if method == "exact" else {"method": method}),
         headers={"Content-Type": NPY, "Accept": NPY},
         content=buffer.getvalue(),
     )

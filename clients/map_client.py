@@ -61,9 +61,14 @@ class MapClient:
         """Let go of the connections."""
         self._http.close()
 
-    def query(self, points: ArrayLike, fusion: str = "bcm") -> MapPrediction:
-        """Ask about points (N, 2), x and y in m; `fusion` is bcm, rbcm or poe."""
-        return self._run(calls.query(points, fusion))
+    def query(self, points: ArrayLike, fusion: str = "bcm", method: str = "exact") -> MapPrediction:
+        """Ask about points (N, 2), x and y in m.
+
+        Args:
+            fusion: bcm, rbcm or poe.
+            method: exact, or field, which interpolates where many points are asked for.
+        """
+        return self._run(calls.query(points, fusion, method))
 
     def query_point(self, x_m: float, y_m: float, fusion: str = "bcm") -> PointPrediction:
         """Ask about one point."""
@@ -137,9 +142,11 @@ class AsyncMapClient:
         """Let go of the connections."""
         await self._http.aclose()
 
-    async def query(self, points: ArrayLike, fusion: str = "bcm") -> MapPrediction:
+    async def query(
+        self, points: ArrayLike, fusion: str = "bcm", method: str = "exact"
+    ) -> MapPrediction:
         """See `MapClient.query`."""
-        return await self._run(calls.query(points, fusion))
+        return await self._run(calls.query(points, fusion, method))
 
     async def query_point(self, x_m: float, y_m: float, fusion: str = "bcm") -> PointPrediction:
         """See `MapClient.query_point`."""
