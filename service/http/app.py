@@ -4,14 +4,22 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
 
 from fastapi import FastAPI
-from fastapi.openapi.utils import get_openapi
 
 from service.archive import Archive
 from service.clock import SystemClock
-from service.http import errors, experts, grids, pages, queries, statuses, streams, tiles
+from service.http import (
+    errors,
+    experts,
+    grids,
+    openapi,
+    pages,
+    queries,
+    statuses,
+    streams,
+    tiles,
+)
 from service.http.guard import Guard
 from service.http.observe import Observe
 from service.map_service import MapService, Ports
@@ -43,9 +51,8 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     app = FastAPI(
         title="gpom",
         version=_version(),
-        summary="One live, continuous occupancy map of a site, with its uncertainty",
         lifespan=lifespan,
-        docs_url=None,  # they load scripts from elsewhere, and sites are often offline
+        docs_url=None,  # they load scripts from elsewhere; service.http.pages has its own
         redoc_url=None,
         responses=errors.RESPONSES,
     )
@@ -59,7 +66,9 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     for router in routers:
         app.include_router(router)
     app.state.routes = [route for router in routers for route in router.routes]
-    _describe_problems(app)
+    access = settings.access
+    asks = any((access.read_tokens, access.write_tokens, access.admin_tokens))
+    openapi.describe(app, tokens=asks)
     return app
 
 
@@ -76,20 +85,6 @@ def _ports(settings: Settings, publisher: MapPublisher) -> Ports:
         else Archive(settings.data_dir, settings.journal, settings.map, clock)
     )
     return Ports(source, archive=archive, clock=clock, acknowledge=source.acknowledge)
-
-
-def _describe_problems(app: FastAPI) -> None:
-    def openapi() -> dict[str, Any]:
-        if app.openapi_schema is None:
-            schema = get_openapi(
-                title=app.title, version=app.version, summary=app.summary, routes=app.routes
-            )
-            schemas = schema.setdefault("components", {}).setdefault("schemas", {})
-            schemas["ProblemDetails"] = errors.ProblemDetails.model_json_schema()
-            app.openapi_schema = schema
-        return app.openapi_schema
-
-    app.openapi = openapi  # type: ignore[method-assign]
 
 
 def _version() -> str:

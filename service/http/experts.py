@@ -10,7 +10,7 @@ from service.http.context import Service, agree
 from service.mapping import MapState
 from service.points import JSON
 
-router = APIRouter(tags=["status"])
+router = APIRouter(tags=["experts"])
 
 GEOJSON = "application/geo+json"
 _MEDIA = {"json": JSON, "geojson": GEOJSON}
@@ -19,12 +19,14 @@ _MEDIA = {"json": JSON, "geojson": GEOJSON}
 class Expert(BaseModel):
     """The Gaussian process of one cluster, as trained last."""
 
-    cluster_id: int
-    line: tuple[tuple[float, float], tuple[float, float]] = Field(description="its ends, m")
-    observations: int
-    hits: int
-    length_scale_m: float
-    signal_std: float
+    cluster_id: int = Field(examples=[7])
+    line: tuple[tuple[float, float], tuple[float, float]] = Field(
+        description="its ends, m", examples=[[[1.0, 2.0], [3.5, 2.0]]]
+    )
+    observations: int = Field(description="hits and free areas, merged", examples=[72])
+    hits: int = Field(description="merged, one for each place", examples=[31])
+    length_scale_m: float = Field(examples=[0.15])
+    signal_std: float = Field(examples=[1.0])
     revision: int = Field(description="of the evidence it was trained on")
     dirty: bool = Field(description="newer evidence waits to be trained")
 

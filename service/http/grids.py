@@ -40,12 +40,16 @@ async def grid(
         ),
     ] = None,
     resolution: Annotated[float, Query(description="edge of a cell in m")] = 0.1,
-    layer: render.Layer = "occupancy",
-    format: Format = "png",  # noqa: A002 - the name in the URL
+    layer: Annotated[
+        render.Layer, Query(description="what a cell holds; of png and npy")
+    ] = "occupancy",
+    format: Annotated[  # noqa: A002 - the name in the URL
+        Format, Query(description="a picture, numbers, or a map for Nav2")
+    ] = "png",
     mode: Annotated[
-        nav2.Mode, Query(description="nav2: how map_server reads occupancy")
+        nav2.Mode, Query(description="of nav2: how map_server is to read occupancy")
     ] = "trinary",
-    fusion: Fusion = "bcm",
+    fusion: Annotated[Fusion, Query(description="how experts are merged")] = "bcm",
     method: Annotated[
         Method, Query(description="field: interpolated where much is asked for; or exact")
     ] = "field",

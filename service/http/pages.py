@@ -1,4 +1,4 @@
-"""The page for people, GET /, and the files it is made of: ours, and Leaflet's from its package."""
+"""The pages for people, GET / and GET /docs, and their files: ours, Leaflet's and Swagger UI's."""
 
 import hashlib
 import json
@@ -12,6 +12,7 @@ from fastapi import APIRouter, Header, Response
 from starlette.exceptions import HTTPException
 
 from service import palettes
+from service.http.context import Service
 
 router = APIRouter(include_in_schema=False)
 
@@ -33,7 +34,11 @@ _MEDIA = {
     "json": "application/json",
     "svg": "image/svg+xml",
 }
-_LEAFLET = ("leaflet.js", "leaflet.css")
+# What comes in packages, so that nothing is loaded from elsewhere: sites are often offline.
+_PACKAGED = (
+    ("xstatic.pkg.leaflet", "data", ("leaflet.js", "leaflet.css")),
+    ("fastapi_offline", "static", ("swagger-ui-bundle.js", "swagger-ui.css")),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +54,23 @@ async def page(if_none_match: Annotated[str | None, Header()] = None) -> Respons
     return _send("index.html", if_none_match)
 
 
+@router.get("/docs", response_class=Response)
+async def docs(if_none_match: Annotated[str | None, Header()] = None) -> Response:
+    """Show what can be asked for, to read and to try."""
+    return _send("docs.html", if_none_match)
+
+
+@router.get("/page/palettes.json", response_class=Response)
+async def colors(
+    service: Service, if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    """Tell what the colours of tiles mean."""
+    snapshot = service.state.snapshot
+    most = snapshot.known_variance_ratio * snapshot.prior_variance
+    content = json.dumps({**_palettes(), "variance_max": most}).encode()
+    return _answer(_file("palettes.json", content), if_none_match)
+
+
 @router.get("/page/{name}", response_class=Response)
 async def page_file(name: str, if_none_match: Annotated[str | None, Header()] = None) -> Response:
     """Give one of the page's files."""
@@ -59,6 +81,10 @@ def _send(name: str, if_none_match: str | None) -> Response:
     file = _files().get(name)
     if file is None:
         raise HTTPException(404, "the page has no such file")
+    return _answer(file, if_none_match)
+
+
+def _answer(file: _File, if_none_match: str | None) -> Response:
     headers = {**_HEADERS, "ETag": file.etag}
     if if_none_match == file.etag:
         return Response(status_code=304, headers=headers)
@@ -75,10 +101,9 @@ def _contents() -> Iterator[tuple[str, bytes]]:
     for item in files("service").joinpath("page").iterdir():
         if item.is_file() and item.name.rpartition(".")[2] in _MEDIA:
             yield item.name, item.read_bytes()
-    leaflet = files("xstatic.pkg.leaflet").joinpath("data")
-    for name in _LEAFLET:
-        yield name, leaflet.joinpath(name).read_bytes()
-    yield "palettes.json", json.dumps(_palettes()).encode()
+    for package, folder, names in _PACKAGED:
+        for name in names:
+            yield name, files(package).joinpath(folder, name).read_bytes()
 
 
 def _palettes() -> dict[str, dict[str, list[str]]]:

@@ -57,9 +57,16 @@ _BODY = {
     }
 }
 
-FusionQuery = Annotated[Fusion | None, Query(description="how experts are merged; bcm")]
+FusionQuery = Annotated[
+    Fusion | None,
+    Query(
+        description="how experts are merged; bcm unless it says otherwise",
+        examples=["bcm"],
+    ),
+]
 MethodQuery = Annotated[
-    Method | None, Query(description="exact, or field: interpolated, for many points; exact")
+    Method | None,
+    Query(description="exact, unless it says field: interpolated, cheaper for many points"),
 ]
 
 

@@ -1,7 +1,7 @@
 """How the map and the service are: status, flush, health, metrics."""
 
 import asyncio
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body, Response
 from prometheus_client import CONTENT_TYPE_LATEST
@@ -39,11 +39,13 @@ class Robot(BaseModel):
     id: str = Field(examples=["robot-1"])
     scans: int = Field(description="accepted", examples=[1200])
     lost: int = Field(description="told by gaps in the sequence numbers", examples=[3])
-    last_seen: float | None = Field(description="Unix time in s of its last scan")
+    last_seen: float | None = Field(
+        description="Unix time in s of its last scan", examples=[1767225600.1]
+    )
     pose: tuple[float, float, float] | None = Field(
         description="x m, y m, yaw rad of the sensor at its last scan", examples=[[1.0, 2.0, 0.5]]
     )
-    alive: bool = Field(description="whether its liveliness token is up")
+    alive: bool = Field(description="whether its liveliness token is up", examples=[True])
     intake: Intake | None = Field(description="null unless its scans come without a pose")
 
 
@@ -63,6 +65,19 @@ class Status(BaseModel):
     )
 
 
+_METRICS: dict[int | str, dict[str, Any]] = {
+    200: {
+        "description": "Prometheus' text format",
+        "content": {
+            "text/plain": {
+                "schema": {"type": "string"},
+                "example": "# TYPE gpom_map_version gauge\ngpom_map_version 42.0\n",
+            }
+        },
+    }
+}
+
+
 class FlushRequest(BaseModel):
     """How long to wait."""
 
@@ -77,13 +92,13 @@ class Health(BaseModel):
     status: Literal["ok"] = "ok"
 
 
-@router.get("/v1/status")
+@router.get("/v1/status", response_description="Counts, robots and the bounds of the map")
 async def status(service: Service) -> Status:
     """Tell how much is in the map, and which robots feed it."""
     return _status(service)
 
 
-@router.post("/v1/flush")
+@router.post("/v1/flush", response_description="The status, once nothing waits any more")
 async def flush(service: Service, request: Annotated[FlushRequest | None, Body()] = None) -> Status:
     """Wait until all received so far is integrated and trained."""
     timeout_s = (request or FlushRequest()).timeout_s
@@ -104,13 +119,13 @@ async def flush(service: Service, request: Annotated[FlushRequest | None, Body()
     return _status(service)
 
 
-@router.get("/healthz")
+@router.get("/healthz", response_description="It answers")
 async def healthz() -> Health:
     """Tell that the process answers."""
     return Health()
 
 
-@router.get("/readyz")
+@router.get("/readyz", response_description="It does its work; if not, 503 and why")
 async def readyz(service: Service) -> Health:
     """Tell whether scans can arrive, be stored, integrated and answered from, and if not why."""
     if troubles := service.troubles():
@@ -118,7 +133,7 @@ async def readyz(service: Service) -> Health:
     return Health()
 
 
-@router.get("/metrics", response_class=Response)
+@router.get("/metrics", response_class=Response, responses=_METRICS)
 async def metrics(service: Service) -> Response:
     """Give Prometheus its numbers."""
     return Response(service.metrics.exposition(), media_type=CONTENT_TYPE_LATEST)

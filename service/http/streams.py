@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable, Sequence
 
 from fastapi import APIRouter
 from fastapi.responses import StreamingResponse
@@ -14,12 +14,14 @@ from service.http.context import Service
 router = APIRouter(tags=["events"])
 
 _TICK_S = 0.15  # robots are looked at so often: ingest spends nothing on those who watch
+_HEALTH_S = 1.0
 
 _EXAMPLE = (
     'id: 42\nevent: map\ndata: {"map_version": 42, "changed": [-1.0, 0.0, 2.5, 4.0]}\n\n'
     'event: robot\ndata: {"robot": "robot-1", "alive": true}\n\n'
     'event: poses\ndata: {"time": 1767225600.2, "robots": [{"id": "robot-1", "pose": '
     '[1.0, 2.0, 0.5], "last_seen": 1767225600.1, "scans": 1200, "alive": true}]}\n\n'
+    'event: health\ndata: {"troubles": ["no space left on device"]}\n\n'
 )
 
 
@@ -31,7 +33,8 @@ _EXAMPLE = (
             "description": "`map`: a new version and the area it changed (null: nothing yet); the "
             "first one is the map as it is. `robot`: one was seen first, came back or went. "
             "`poses`: robots that sent scans since the last one, a few times a second, none from "
-            "time to time; `time` is the server's. A slow reader gets the newest news, with the "
+            "time to time; `time` is the server's. `health`: "
+            "what /readyz says, when it changes. A slow reader gets the newest news, with the "
             "areas it missed merged into one.",
             "content": {"text/event-stream": {"example": _EXAMPLE}},
         }
@@ -43,7 +46,7 @@ async def events(service: Service) -> StreamingResponse:
     snapshot = service.state.snapshot
     subscription.put(MapChanged(snapshot.version, snapshot.bounds))
     poses = PoseNews(service.fleet, service.settings.http.event_keepalive_s)
-    stream = _lines(subscription, poses)
+    stream = _lines(subscription, poses, HealthNews(service.troubles))
     return StreamingResponse(
         stream,
         media_type="text/event-stream",
@@ -73,10 +76,33 @@ class PoseNews:
         return f"event: poses\ndata: {json.dumps(data)}\n\n"
 
 
-async def _lines(subscription: Subscription, poses: PoseNews) -> AsyncIterator[str]:
+class HealthNews:
+    """Tells one reader what keeps the service from its work, at first and whenever it changes."""
+
+    def __init__(self, troubles: Callable[[], Sequence[str]]) -> None:
+        self._troubles = troubles
+        self._told: list[str] | None = None
+        self._look_s = float("-inf")
+
+    def take(self) -> str:
+        """Give an event, or nothing when there is no need for one."""
+        now_s = time.monotonic()
+        if now_s < self._look_s:
+            return ""
+        self._look_s = now_s + _HEALTH_S
+        troubles = list(self._troubles())
+        if troubles == self._told:
+            return ""
+        self._told = troubles
+        return f"event: health\ndata: {json.dumps({'troubles': troubles})}\n\n"
+
+
+async def _lines(
+    subscription: Subscription, poses: PoseNews, health: HealthNews
+) -> AsyncIterator[str]:
     with subscription:
         async for batch in subscription.batches(_TICK_S):
-            if text := "".join(map(_format, batch)) + poses.take():
+            if text := "".join(map(_format, batch)) + poses.take() + health.take():
                 yield text
 
 

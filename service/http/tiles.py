@@ -31,21 +31,36 @@ _ANSWER: dict[int | str, dict[str, Any]] = {
     304: {"description": "the tile that If-None-Match names is still the newest"},
 }
 
-Index = Annotated[int, Path(ge=-INDEX_MAX, le=INDEX_MAX)]
+Column = Annotated[
+    int, Path(ge=-INDEX_MAX, le=INDEX_MAX, description="column, eastwards", examples=[0])
+]
+Row = Annotated[
+    int,
+    Path(
+        ge=-INDEX_MAX,
+        le=INDEX_MAX,
+        description="row, southwards; negative north of the origin",
+        examples=[-1],
+    ),
+]
 
 
 @router.get("/v1/tiles/{layer}/{z}/{x}/{y}.png", responses=_ANSWER, response_class=Response)
 async def tile(
     service: Service,
-    layer: TileLayer,
-    z: Annotated[int, Path(ge=ZOOM_MIN, le=ZOOM_MAX, description="2^z pixels to the metre")],
-    x: Index,
-    y: Index,
+    layer: Annotated[TileLayer, Path(description="state: free, occupied or unknown")],
+    z: Annotated[
+        int, Path(ge=ZOOM_MIN, le=ZOOM_MAX, description="2^z pixels to the metre", examples=[4])
+    ],
+    x: Column,
+    y: Row,
     theme: Annotated[Theme, Query(description="background that the colours are for")] = "light",
     draft: Annotated[
         bool, Query(description="rather a coarse picture at once, without an ETag, than a wait")
     ] = False,
-    if_none_match: Annotated[str | None, Header()] = None,
+    if_none_match: Annotated[
+        str | None, Header(description="ETag of the tile that is here already")
+    ] = None,
 ) -> Response:
     """Draw one tile of the live map."""
     store = service.tiles

@@ -15,6 +15,7 @@ export function readAddress() {
     theme: words.get("theme"),
     show: words.get("show")?.split(",") ?? null,
     follow: words.get("follow"),
+    bare: words.has("bare"),
     pin: numbers(words.get("pin"), 2),
     line: line && [[line[0], line[1]], [line[2], line[3]]],
   };
@@ -28,6 +29,7 @@ export function writeAddress(state) {
   words.set("show", state.show.join(","));
   if (state.theme) words.set("theme", state.theme);
   if (state.follow) words.set("follow", state.follow);
+  if (state.bare) words.set("bare", "1");
   if (state.pin) words.set("pin", place(state.pin));
   if (state.line) words.set("line", place(state.line));
   history.replaceState(null, "", `#${words.toString().replaceAll("%2C", ",")}`);

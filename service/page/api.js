@@ -22,8 +22,8 @@ export function query(points, signal) {
 
 /**
  * News of the service; comes back by itself after a lost connection.
- * Dispatches "map", "robot" and "poses" with the data as detail, and "link" with its state:
- * connecting, live or lost.
+ * Dispatches "map", "robot", "poses" and "health" with the data as detail, and "link" with
+ * {state, why}: connecting, live, lost or refused, and what the service said to refuse.
  */
 export class Feed extends EventTarget {
   #source = null;
@@ -43,7 +43,7 @@ export class Feed extends EventTarget {
     this.#tell(this.#state === "" ? "connecting" : this.#state);
     const source = new EventSource("v1/events");
     this.#source = source;
-    for (const kind of ["map", "robot", "poses"]) {
+    for (const kind of ["map", "robot", "poses", "health"]) {
       source.addEventListener(kind, (event) => {
         this.#heard = performance.now();
         this.#tell("live");
@@ -51,10 +51,20 @@ export class Feed extends EventTarget {
       });
     }
     source.onerror = () => {
+      const answered = source.readyState === EventSource.CLOSED;
       this.#tell("lost");
       source.close();
+      if (answered) this.#explain();
       setTimeout(() => { if (this.#source === source) this.#open(); }, RETRY_MS);
     };
+  }
+
+  /** An answer that is no stream: find out what it says, which an EventSource does not tell. */
+  async #explain() {
+    const answer = await fetch("v1/status").catch(() => null);
+    if (!answer || answer.ok || this.#state !== "lost") return;
+    const { detail } = await answer.json().catch(() => ({}));
+    if (this.#state === "lost") this.#tell("refused", detail ?? answer.statusText);
   }
 
   #watch() {
@@ -64,10 +74,11 @@ export class Feed extends EventTarget {
     }
   }
 
-  #tell(state) {
-    if (state === this.#state) return;
+  #tell(state, why = "") {
+    // Refused again is no news: it stays so until there is something else to say.
+    if (state === this.#state || (state === "lost" && this.#state === "refused")) return;
     this.#state = state;
-    this.dispatchEvent(new CustomEvent("link", { detail: state }));
+    this.dispatchEvent(new CustomEvent("link", { detail: { state, why } }));
   }
 }
 

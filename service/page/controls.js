@@ -9,9 +9,11 @@ const KEYS = [
   ["L", "line with profile"],
   ["G R C", "grid, robots, clusters"],
   ["T", "dark or light"],
+  ["H", "hide and show the panels"],
   ["Esc", "close, let go"],
   ["?", "this list"],
 ];
+const ARROWS = { ArrowLeft: [-80, 0], ArrowRight: [80, 0], ArrowUp: [0, -80], ArrowDown: [0, 80] };
 const TOGGLES = ["grid", "robots", "clusters"];
 
 export function bindControls(actions) {
@@ -35,7 +37,7 @@ export function bindControls(actions) {
   const keys = {
     1: () => actions.layer("occupancy"), 2: () => actions.layer("variance"), 3: () => actions.layer("state"),
     f: () => act("fit"), l: () => act("line"), g: () => act("grid"), r: () => act("robots"), c: () => act("clusters"),
-    t: () => act("theme"), n: () => actions.follow(), p: () => actions.pin(), "?": () => act("help"),
+    t: () => act("theme"), h: () => act("bare"), n: () => actions.follow(), p: () => actions.pin(), "?": () => act("help"),
     Escape: () => actions.leave(),
   };
   // Leaflet focuses the map at each click; its frame is for those who came by keyboard.
@@ -47,8 +49,10 @@ export function bindControls(actions) {
     if (run) {
       event.preventDefault();
       run();
-    } else if (event.target === document.body && ["+", "=", "-"].includes(event.key)) {
-      act(event.key === "-" ? "zoomout" : "zoomin");
+    } else if (event.target === document.body) {
+      // With the map in focus, Leaflet does these itself.
+      if (["+", "=", "-"].includes(event.key)) act(event.key === "-" ? "zoomout" : "zoomin");
+      else if (event.key in ARROWS) actions.pan(ARROWS[event.key]);
     }
   });
   const list = document.getElementById("keys");

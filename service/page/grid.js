@@ -47,6 +47,7 @@ export class Grid {
     const step = round125(LEAST_PX / scale);
     const left = center.lng - width / 2 / scale;
     const top = center.lat + height / 2 / scale;
+    const labels = [];
     const line = (index, px, upright) => {
       pen.strokeStyle = color(index === 0 ? "--grid-strong" : index % 5 ? "--grid" : "--grid-strong");
       pen.beginPath();
@@ -54,16 +55,23 @@ export class Grid {
       if (upright) { pen.moveTo(p, 0); pen.lineTo(p, height); }
       else { pen.moveTo(0, p); pen.lineTo(width, p); }
       pen.stroke();
-      pen.fillStyle = color("--grid-text");
-      const text = metres(index * step, step);
-      if (upright) pen.fillText(text, p + 3, height - 3);
-      else pen.fillText(text, 3, p - 3);
+      const [x, y] = upright ? [p + 3, height - 3] : [3, p - 3];
+      if (upright ? x > 40 : y < height - 18) labels.push([metres(index * step, step), x, y]);
     };
     for (let i = Math.ceil(left / step); (i * step - left) * scale < width; i += 1) {
       line(i, (i * step - left) * scale, true);
     }
     for (let i = Math.floor(top / step); (top - i * step) * scale < height; i -= 1) {
       line(i, (top - i * step) * scale, false);
+    }
+    // Readable on walls too, whatever their colour.
+    pen.fillStyle = color("--grid-text");
+    pen.strokeStyle = color("--halo");
+    pen.lineWidth = 3;
+    pen.lineJoin = "round";
+    for (const label of labels) {
+      pen.strokeText(...label);
+      pen.fillText(...label);
     }
   }
 }

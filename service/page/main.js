@@ -15,6 +15,7 @@ import { LiveTiles } from "./tiles.js";
 const LAYERS = ["occupancy", "variance", "state"];
 const byId = (id) => document.getElementById(id);
 const wanted = readAddress();
+const still = window.matchMedia("(prefers-reduced-motion: reduce)");
 const dark = window.matchMedia("(prefers-color-scheme: dark)");
 const [palettes, firstStatus] = [getJson("page/palettes.json"), getJson("v1/status").catch(() => null)];
 
@@ -23,6 +24,7 @@ const state = {
   theme: ["dark", "light"].includes(wanted.theme) ? wanted.theme : null, // null: as the system
   show: new Set(wanted.show ?? ["grid", "robots"]),
   follow: wanted.follow,
+  bare: wanted.bare,
   placed: Boolean(wanted.view),
 };
 const theme = () => state.theme ?? (dark.matches ? "dark" : "light");
@@ -37,15 +39,20 @@ const clusters = new Clusters(map);
 const readout = new Readout(map, byId("place"), byId("value"));
 const profile = new Profile(map, byId("profile"));
 const feed = new Feed();
+let counts = null;
+let troubles = [];
+let refusal = "";
 
 async function paint() {
   document.documentElement.dataset.theme = theme();
+  document.body.classList.toggle("bare", state.bare);
   pressed(state, profile.armed);
   grid.show(state.show.has("grid"));
   robots.show(state.show.has("robots"));
   clusters.show(state.show.has("clusters"));
   remember();
-  drawLegend(byId("legend-body"), state.layer, (await palettes)[theme()][state.layer], state.show.has("clusters"));
+  const { [theme()]: colors, ...scale } = await palettes;
+  drawLegend(byId("legend-body"), state.layer, { colors: colors[state.layer], ...scale }, state.show.has("clusters"));
 }
 
 const remember = paced(() => {
@@ -57,7 +64,7 @@ const remember = paced(() => {
     pin: readout.pinned,
     line: profile.ends,
   });
-}, 150);
+}, 400); // Safari allows a hundred a half minute
 
 function fit(bounds) {
   if (!bounds) return;
@@ -72,11 +79,33 @@ function fit(bounds) {
 
 function showStatus(status) {
   if (!status) return;
-  byId("empty").hidden = Boolean(status.bounds);
+  counts = status;
+  sayEmpty();
   const count = (n, one) => `${n.toLocaleString("en")} ${one}${n === 1 ? "" : "s"}`;
+  const behind = status.dirty_experts ? ` · ${status.dirty_experts.toLocaleString("en")} to learn` : "";
   byId("numbers").textContent =
-    `version ${status.map_version} · ${count(status.scans_integrated, "scan")} · ${count(status.experts, "expert")}`;
+    `version ${status.map_version} · ${count(status.scans_integrated, "scan")} · ${count(status.experts, "expert")}${behind}`;
   if (!state.placed) fit(status.bounds);
+}
+
+/** What an empty map waits for. */
+function sayEmpty() {
+  byId("empty").hidden = !counts || Boolean(counts.bounds);
+  if (byId("empty").hidden) return;
+  const [title, words] = byId("empty").querySelectorAll("b, p");
+  [title.textContent, words.textContent] = troubles.length
+    ? ["The service is getting ready", "The map appears here by itself."]
+    : counts.scans_received
+      ? ["The first scans are here", "The map appears as soon as it is learnt."]
+      : ["Waiting for the first scan", "The map draws itself as soon as a robot sends one. No robot at hand? “gpom simulate” and “gpom replay” send scans, too."];
+}
+
+/** What keeps the service from its work, or us from the service. */
+function sayTrouble() {
+  const words = refusal || troubles.join("; ");
+  byId("trouble").hidden = !words;
+  byId("trouble").textContent = words;
+  sayEmpty();
 }
 
 const refreshStatus = paced(async () => showStatus(await getJson("v1/status")), 1000);
@@ -97,6 +126,11 @@ const actions = {
     state.theme = theme() === "dark" ? "light" : "dark";
     look();
   },
+  bare: () => {
+    state.bare = !state.bare;
+    paint();
+  },
+  pan: (pixels) => map.panBy(pixels),
   more: () => {
     const open = byId("menu").classList.toggle("open");
     byId("more").setAttribute("aria-expanded", String(open));
@@ -142,7 +176,8 @@ function move() {
   const pose = state.follow && robots.pose(state.follow);
   if (!pose) return;
   state.placed = true;
-  map.panTo(at(pose[0], pose[1]), { animate: false });
+  // As fast as its marker glides, so that it stays where it is on the screen.
+  map.panTo(at(pose[0], pose[1]), { duration: 0.16, easeLinearity: 1, ...(still.matches && { animate: false }) });
 }
 
 function listRobots() {
@@ -183,10 +218,19 @@ feed.addEventListener("poses", ({ detail }) => {
   move();
 });
 feed.addEventListener("robot", () => refreshStatus());
-feed.addEventListener("link", ({ detail }) => {
-  const words = { connecting: "connecting …", live: "live", lost: "connection lost" };
-  byId("link").textContent = words[detail];
-  byId("link").dataset.state = detail;
+feed.addEventListener("health", ({ detail }) => {
+  ({ troubles } = detail);
+  sayTrouble();
+});
+feed.addEventListener("link", ({ detail: { state: link, why } }) => {
+  const words = { connecting: "connecting …", live: "live", lost: "connection lost", refused: "no access" };
+  const chip = byId("link");
+  // Whatever answers now may have another map.
+  if (link === "live" && chip.dataset.state !== "connecting") tiles.changed(null);
+  chip.textContent = words[link];
+  chip.dataset.state = link;
+  refusal = why;
+  sayTrouble();
 });
 robots.addEventListener("change", listRobots);
 robots.addEventListener("pick", ({ detail }) => follow(detail));

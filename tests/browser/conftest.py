@@ -5,7 +5,7 @@ import socket
 import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from typing import Self
+from typing import Any, Self
 
 import httpx
 import pytest
@@ -22,7 +22,8 @@ from tests.service.rooms import payload_at
 class Site(AbstractContextManager):
     """One service on 127.0.0.1; `source` feeds it, `stop` and `start` take it away and back."""
 
-    def __init__(self) -> None:
+    def __init__(self, **settings: Any) -> None:
+        self._settings = Settings(http=HttpSettings(event_keepalive_s=0.5), **settings)
         with socket.create_server(("127.0.0.1", 0)) as probe:
             self.port = probe.getsockname()[1]
         self.url = f"http://127.0.0.1:{self.port}/"
@@ -36,7 +37,7 @@ class Site(AbstractContextManager):
 
     def start(self) -> None:
         self.source = MemorySource()
-        app = create_app(Settings(http=HttpSettings(event_keepalive_s=0.5)), Ports(self.source))
+        app = create_app(self._settings, Ports(self.source))
         self.service: MapService = app.state.service
         config = uvicorn.Config(
             app, port=self.port, log_config=None, ws="none", timeout_graceful_shutdown=1

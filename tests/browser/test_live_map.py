@@ -6,6 +6,7 @@ import time
 import httpx
 import pytest
 
+from service.settings import AccessSettings
 from tests.browser.chromium import Chromium
 from tests.browser.conftest import Site
 
@@ -61,7 +62,10 @@ def test_it_shows_the_map_at_once_and_asks_nobody_else(page: Chromium, site: Sit
 def test_an_empty_map_says_so_and_comes_to_life(page: Chromium) -> None:
     with Site() as site:
         show(page, site)
-        assert page.evaluate("!document.querySelector('#empty').hidden")
+        page.wait("!document.querySelector('#empty').hidden")
+        assert "Waiting for the first scan" in page.evaluate(
+            "document.querySelector('#empty').textContent"
+        )
 
         site.scan(0.0, 0.0, 1)
         page.wait("document.querySelector('#empty').hidden && gpom.tiles.settled()")
@@ -150,6 +154,46 @@ def test_a_lost_connection_shows_and_recovers(page: Chromium, site: Site) -> Non
     page.problems.clear()
 
 
+def test_what_keeps_the_service_from_its_work_is_said(page: Chromium, site: Site) -> None:
+    show(page, site)
+    assert page.evaluate("document.querySelector('#trouble').hidden")
+
+    site.source.close()
+    page.wait("/source is closed/.test(document.querySelector('#trouble').textContent)")
+    site.source.open(site.service)
+    page.wait("document.querySelector('#trouble').hidden")
+
+
+def test_without_a_token_it_says_what_is_missing(browser: Chromium) -> None:
+    with Site(access=AccessSettings(read_tokens=["t" * 32])) as site:
+        browser.open(site.url)
+        browser.wait("document.querySelector('#link').dataset.state === 'refused'")
+        assert "Authorization" in browser.evaluate("document.querySelector('#trouble').textContent")
+        browser.open("about:blank?")
+
+
+def test_another_map_behind_the_same_address_is_drawn_anew(page: Chromium, site: Site) -> None:
+    show(page, site, "view=0,0,6")
+    assert page.evaluate(INK) > 10_000
+
+    site.stop()
+    page.wait("document.querySelector('#link').dataset.state === 'lost'")
+    site.start()
+    page.wait(f"{SHOWN} && {INK}.then((ink) => ink === 0)")
+    assert all("ERR_" in problem for problem in page.problems), page.problems
+    page.problems.clear()
+
+
+def test_the_api_can_be_read_and_tried(page: Chromium, site: Site) -> None:
+    page.open(f"{site.url}docs")
+    page.wait("document.querySelectorAll('.opblock').length > 8")
+    page.evaluate("document.querySelector('[id$=v1_status_get] button').click()")
+    page.wait("document.querySelector('[id$=v1_status_get] .execute')")
+    page.evaluate("document.querySelector('[id$=v1_status_get] .execute').click()")
+    page.wait("/map_version/.test(document.querySelector('.live-responses-table')?.textContent)")
+    assert all(a.startswith((site.url, "data:", "about:")) for a in page.requests), page.requests
+
+
 def test_an_address_leads_back_to_what_was_seen(page: Chromium, site: Site) -> None:
     show(
         page, site, "view=1.5,0.25,6&layer=variance&theme=light&pin=2,1&line=-1,0,4,0&show=clusters"
@@ -204,6 +248,16 @@ def test_every_tool_has_a_key(page: Chromium, site: Site) -> None:
     page.wait("document.querySelector('.pin')")
     page.key("n")
     page.wait("gpom.state.follow === 'anna'")
+    page.key("h")
+    page.wait(
+        "document.querySelector('#tools').getBoundingClientRect().width === 0"
+        " && location.hash.includes('bare=1')"
+    )
+    page.key("h")
+    page.wait("document.querySelector('#tools').getBoundingClientRect().width > 0")
+    page.evaluate("document.activeElement.blur()")
+    page.key("ArrowRight")
+    page.wait("gpom.map.getCenter().lng > 0.5")
     page.key("?")
     page.wait(
         "document.querySelector('#help').open && document.querySelectorAll('#keys dt').length > 8"

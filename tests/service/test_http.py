@@ -358,6 +358,17 @@ def test_openapi_is_served_with_examples(client) -> None:
     post = schema["paths"]["/v1/query"]["post"]
     assert "example" in post["requestBody"]["content"][JSON]
     assert "example" in post["responses"]["200"]["content"][JSON]
+    told = {tag["name"] for tag in schema["tags"]}
+    assert all(tag["description"] for tag in schema["tags"])
+    used = set()
+    for path, operations in schema["paths"].items():
+        for operation in operations.values():
+            used |= set(operation["tags"])
+            assert len(operation["summary"].split()) > 2, path
+            assert all(p["description"] for p in operation.get("parameters", [])), path
+            assert operation["responses"]["200"]["description"] != "Successful Response", path
+    assert used == told
+    assert "security" not in schema, "nobody needs a token here"
     missing = set(re.findall(r'"#/components/schemas/(\w+)"', json.dumps(schema)))
     assert missing <= schema["components"]["schemas"].keys()
 

@@ -3,13 +3,16 @@
 import re
 from pathlib import Path
 
+import pytest
+
 from tests.service.rooms import payload_at
 
 PAGE = Path(__file__).parents[2] / "service/page"
 
 
-def test_page_is_self_contained(client) -> None:
-    response = client.get("/")
+@pytest.mark.parametrize("address", ["/", "/docs"])
+def test_page_is_self_contained(client, address) -> None:
+    response = client.get(address)
     assert response.headers["content-type"].startswith("text/html")
     policy = response.headers["content-security-policy"]
     assert "default-src 'none'" in policy
@@ -20,13 +23,22 @@ def test_page_is_self_contained(client) -> None:
     for part in parts:
         file = client.get("/" + part)
         assert file.is_success, part
+        if not part.startswith("page/"):
+            continue
         assert (
             client.get("/" + part, headers={"If-None-Match": file.headers["etag"]}).status_code
             == 304
         )
-    assert client.get("/page/palettes.json").json()["dark"]["occupancy"]
     for stranger in ("../settings.py", "__init__.py", "settings.py"):
         assert client.get("/page/" + stranger).status_code == 404
+
+
+def test_colors_are_told_with_what_they_stand_for(client) -> None:
+    colors = client.get("/page/palettes.json")
+    assert colors.json()["dark"]["occupancy"]
+    assert colors.json()["variance_max"] == 0.8  # from there on nothing is known
+    again = client.get("/page/palettes.json", headers={"If-None-Match": colors.headers["etag"]})
+    assert again.status_code == 304
 
 
 def test_no_file_of_the_page_is_longer_than_it_can_be_read_or_asks_elsewhere() -> None:
