@@ -15,7 +15,7 @@ from gpom_core.ros import cdr
 from gpom_core.ros.keys import (
     Transport,
     data_selector,
-    presence_selector,
+    presence_selectors,
     topic_of,
     topic_of_presence,
 )
@@ -142,10 +142,10 @@ class Listener:
                     # Not from within a callback of the session.
                     threading.Thread(target=self._hear, args=(transport, topic, type_name)).start()
 
-        key = presence_selector(transport, self._settings.domain, type_name)
-        token = self._session.liveliness().declare_subscriber(key, on_token, history=True)
-        with self._lock:
-            self._held.append(token)
+        for key in presence_selectors(transport, self._settings.domain, type_name):
+            token = self._session.liveliness().declare_subscriber(key, on_token, history=True)
+            with self._lock:
+                self._held.append(token)
 
     def _on_sample(self, transport: Transport, type_name: str, sample: zenoh.Sample) -> None:
         beside = None if sample.attachment is None else sample.attachment.to_bytes()

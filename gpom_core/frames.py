@@ -17,10 +17,15 @@ MOMENTS_MAX = 20_000
 """Remembered moments of one frame: 30 s at more than 600 Hz."""
 FRAMES_MAX = 1_000
 """Frames of one tree; more are not taken."""
+SET_BACK_S = 5.0
+"""Stamps that go back by more than this: the clock was set back, or a simulation began anew."""
 
 _NANOSECONDS = 1e9
 _LONGEST_CHAIN = 100
 _TRIM_EVERY = 256
+_SET_BACK_NS = round(SET_BACK_S * _NANOSECONDS)
+_DAY_S = 86_400.0
+_MOST_NAMED = 3
 
 
 @dataclass(slots=True)
@@ -28,15 +33,14 @@ class _Track:
     """The poses of one frame in its parent, ordered by time."""
 
     parent: str
+    rival: str | None = None  # the parent it had before
     stamps_ns: list[int] = field(default_factory=list)
     poses: list[Rigid] = field(default_factory=list)
     fixed: Rigid | None = None
 
-    def add(self, stamp_ns: int, pose: Rigid, keep_ns: int) -> None:
-        if self.stamps_ns and stamp_ns < self.stamps_ns[-1] - keep_ns:
-            # The clock of the robot was set back: what lies ahead of it is of no use any more.
-            self.stamps_ns.clear()
-            self.poses.clear()
+    def add(self, stamp_ns: int, pose: Rigid, keep_ns: int | None) -> None:
+        if keep_ns is not None:
+            self.set_back(stamp_ns)
         at = len(self.stamps_ns)
         if at and stamp_ns <= self.stamps_ns[-1]:
             at = bisect_left(self.stamps_ns, stamp_ns)
@@ -45,31 +49,44 @@ class _Track:
                 return
         self.stamps_ns.insert(at, stamp_ns)
         self.poses.insert(at, pose)
-        if len(self.stamps_ns) % _TRIM_EVERY == 0:
+        if keep_ns is not None and len(self.stamps_ns) % _TRIM_EVERY == 0:
             self._trim(keep_ns)
+
+    def set_back(self, stamp_ns: int) -> None:
+        """Forget all when it lies ahead of a clock that was set back: it is of another run."""
+        if self.stamps_ns and self.stamps_ns[-1] - stamp_ns > _SET_BACK_NS:
+            self.stamps_ns.clear()
+            self.poses.clear()
 
     def at(self, stamp_ns: int, child: str) -> Rigid:
         if self.fixed is not None:
             return self.fixed
         stamps_ns = self.stamps_ns
+        if not stamps_ns:
+            message = f"the transform from {self.parent} to {child} has not come since the clock"
+            raise UnknownPoseError("too_new", f"{message} was set back")
         after = bisect_left(stamps_ns, stamp_ns)
         if after < len(stamps_ns) and stamps_ns[after] == stamp_ns:
             return self.poses[after]
         if after == len(stamps_ns):
-            message = (
-                f"the transform from {self.parent} to {child} is known up to "
-                f"{(stamp_ns - stamps_ns[-1]) / _NANOSECONDS:.3f} s before the scan"
-            )
-            raise UnknownPoseError("too_new", message)
+            apart_s = (stamp_ns - stamps_ns[-1]) / _NANOSECONDS
+            known = f"is known up to {apart_s:.3f} s before the scan"
+            raise UnknownPoseError("too_new", self._message(child, known, apart_s))
         if after == 0:
-            message = (
-                f"the transform from {self.parent} to {child} is known only from "
-                f"{(stamps_ns[0] - stamp_ns) / _NANOSECONDS:.3f} s after the scan on"
-            )
-            raise UnknownPoseError("too_old", message)
+            apart_s = (stamps_ns[0] - stamp_ns) / _NANOSECONDS
+            known = f"is known only from {apart_s:.3f} s after the scan on"
+            raise UnknownPoseError("too_old", self._message(child, known, apart_s))
         start_ns, end_ns = stamps_ns[after - 1], stamps_ns[after]
         fraction = (stamp_ns - start_ns) / (end_ns - start_ns)
         return interpolate(self.poses[after - 1], self.poses[after], fraction)
+
+    def _message(self, child: str, known: str, apart_s: float) -> str:
+        message = f"the transform from {self.parent} to {child} {known}"
+        if apart_s > _DAY_S:
+            message += ": one of them has simulation time (use_sim_time), or no stamp"
+        if self.rival is not None:
+            message += f"; {child} is said to hang on {self.rival} too: which is right?"
+        return message
 
     def _trim(self, keep_ns: int) -> None:
         old = bisect_left(self.stamps_ns, self.stamps_ns[-1] - keep_ns)
@@ -88,7 +105,7 @@ class FrameTree:
 
     def __init__(self, shared: "FrameTree | None" = None, keep_s: float | None = KEEP_S) -> None:
         self._shared = shared
-        self._keep_ns = round((keep_s if keep_s is not None else 1e9) * _NANOSECONDS)
+        self._keep_ns = None if keep_s is None else round(keep_s * _NANOSECONDS)
         self._tracks: dict[str, _Track] = {}
 
     def add(self, parent: str, child: str, pose: Rigid, stamp_ns: int | None) -> bool:
@@ -103,7 +120,8 @@ class FrameTree:
         if track is None or track.parent != parent:
             if track is None and len(self._tracks) >= FRAMES_MAX:
                 return False
-            track = self._tracks[child] = _Track(parent)
+            rival = None if track is None else track.parent
+            track = self._tracks[child] = _Track(parent, rival)
         if stamp_ns is None:
             track.fixed = pose
         else:
@@ -134,6 +152,20 @@ class FrameTree:
             if track.parent in passed:
                 return compose(inverse(other), passed[track.parent])
         raise UnknownPoseError("unconnected", self._explain(target, source, at))
+
+    def set_back(self, source: str, stamp_ns: int) -> None:
+        """Note that the clock of a frame's robot was set back, as when a simulation begins anew.
+
+        What is known of the way up from the frame and lies far ahead is of the run before.
+        """
+        for _, track in self._way_up(source):
+            track.set_back(stamp_ns)
+
+    def rivals(self, source: str) -> Iterator[tuple[str, str, str]]:
+        """Give the frames on the way up that had another parent before: frame, parent, before."""
+        for child, track in self._way_up(source):
+            if track.rival is not None:
+                yield child, track.parent, track.rival
 
     def frames(self) -> dict[str, str]:
         """Give the parent of every frame that has one."""
@@ -166,8 +198,17 @@ class FrameTree:
         known = self.frames()
         if not known:
             return f"{start}: no transforms at all"
-        if source not in known and source not in known.values():
-            return f"{start}: no frame is called {source}"
-        if target not in known and target not in known.values():
-            return f"{start}: no frame is called {target}; {source} hangs on {root}"
+        names = {*known, *known.values()}
+        if source not in names:
+            return f"{start}: no frame is called {source}{_or_similar(source, names)}"
+        if target not in names:
+            hangs = f"{source} hangs on {root}{_or_similar(target, names)}"
+            return f"{start}: no frame is called {target}; {hangs}"
         return f"{start}: {source} hangs on {root}, which has no connection to {target}"
+
+
+def _or_similar(name: str, names: set[str]) -> str:
+    """Name frames that differ in their prefix only: that is how most are mistaken."""
+    last = name.rpartition("/")[2]
+    similar = sorted(other for other in names if other.rpartition("/")[2] == last)
+    return f", but there is {', '.join(similar[:_MOST_NAMED])}" if similar else ""

@@ -3,10 +3,18 @@
 import json
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    field_validator,
+)
 from pydantic_settings import NoDecode
 
 from gpom_core.ros.keys import TopicPattern, Transport
+from gpom_core.ros.messages import frame_name
 
 
 def _split(value: Any) -> Any:
@@ -19,6 +27,12 @@ def _split(value: Any) -> Any:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
+def _without_slash(name: str) -> str:
+    """Name a frame as ROS 2 does: without the slash that ROS 1 began with."""
+    return frame_name(name.strip())
+
+
+Frame = Annotated[str, AfterValidator(_without_slash), Field(min_length=1)]
 Transports = Annotated[tuple[Transport, ...], NoDecode, BeforeValidator(_split)]
 Topics = Annotated[tuple[str, ...], NoDecode, BeforeValidator(_split)]
 
@@ -75,8 +89,8 @@ class RosSettings(_Section):
     pose_topics: Topics = Field(
         ("{robot}/odom", "odom"), description="of poses, when they do not come from tf"
     )
-    map_frame: str = Field("map", description="that scans are placed in, and the grid is in")
-    base_frame: str = Field(
+    map_frame: Frame = Field("map", description="that scans are placed in, and the grid is in")
+    base_frame: Frame = Field(
         "base_link", description="whose pose a message tells that names no child frame"
     )
     robot: str = Field("robot", description="name of the robot whose topics do not tell")
@@ -92,6 +106,9 @@ class RosSettings(_Section):
     )
     no_returns: Literal["free", "ignore"] = Field(
         "free", description="what +inf says of the space along the beam, up to range_max"
+    )
+    range_ceiling_m: float | None = Field(
+        None, gt=0.0, description="a reading this long or longer is a no-return too, as +inf"
     )
     map: RosMapSettings = RosMapSettings()
 

@@ -1,7 +1,7 @@
 """What rmw_zenoh attaches to every message: its number, its time, its publisher.
 
 ======  =========================  ===============================================
-offset  33 bytes (since 2024-10)   77 bytes (before)
+offset  33 bytes (since 2025-04)   77 bytes (before)
 ======  =========================  ===============================================
 0       sequence number i64        length 15 and ``sequence_number``
 8       source time i64 ns
@@ -14,7 +14,8 @@ offset  33 bytes (since 2024-10)   77 bytes (before)
 61                                 gid, 16 bytes
 ======  =========================  ===============================================
 
-Little endian. Source: rmw_zenoh_cpp, ``attachment_helpers.cpp``.
+Little endian. Source: rmw_zenoh_cpp, ``attachment_helpers.cpp``; the change came with 0.1.2 for
+Humble, 0.2.4 for Jazzy, 0.6.0 for Rolling.
 """
 
 import struct

@@ -3,11 +3,14 @@
 ``rmw_zenoh``
     data ``<domain>/<topic>/<type in DDS>/<hash>``, presence
     ``@ros2_lv/<domain>/<zid>/<node>/<id>/MP/<enclave>/<namespace>/<node>/<topic>/<type>/<hash>/<qos>``
-    with ``%`` for ``/``. The hash differs from release to release (Humble has none and writes
-    ``TypeHashNotSupported``), so it is never asked for.
+    with ``%`` for ``/``, and since Lyrical more behind it for some types. The hash differs from
+    release to release (Humble has none and writes ``TypeHashNotSupported``), so it is never asked
+    for.
 ``bridge``
-    zenoh-bridge-ros2dds: data ``<topic>``, presence ``@ros2_lv/<zid>/MP/<topic>/<type>/<qos>`` with
-    ``§`` for ``/``.
+    zenoh-bridge-ros2dds: data ``<topic>``, presence ``@/<zid>/@ros2_lv/MP/<topic>/<type>/<qos>``
+    (before 1.0 ``@ros2_lv/<zid>/MP/…``) with ``§`` for ``/``.
+
+Source: rmw_zenoh_cpp, ``liveliness_utils.cpp``; zenoh-plugin-ros2dds, ``liveliness_mgt.rs``.
 
 Topics are written without their first slash, with the namespace of the robot.
 """
@@ -103,18 +106,19 @@ def topic_of(transport: Transport, key: str) -> str:
     return "/".join(key.split("/")[1:-2])
 
 
-def presence_selector(transport: Transport, domain: int, type_name: str) -> str:
-    """Give the key expression of the tokens of everyone who publishes messages of a type."""
+def presence_selectors(transport: Transport, domain: int, type_name: str) -> tuple[str, ...]:
+    """Give the key expressions of the tokens of everyone who publishes messages of a type."""
     if transport == "bridge":
-        return f"@ros2_lv/*/MP/*/{type_name.replace('/', _BRIDGE_SLASH)}/*"
-    return f"@ros2_lv/{domain}/*/*/*/MP/*/*/*/*/{cdr.dds_name(type_name)}/*/*"
+        what = f"MP/*/{type_name.replace('/', _BRIDGE_SLASH)}/*"
+        return (f"@/*/@ros2_lv/{what}", f"@ros2_lv/*/{what}")
+    return (f"@ros2_lv/{domain}/*/*/*/MP/*/*/*/*/{cdr.dds_name(type_name)}/*/*/**",)
 
 
 def topic_of_presence(transport: Transport, key: str) -> str:
     """Give the topic that a token speaks of."""
     chunks = key.split("/")
     if transport == "bridge":
-        return chunks[3].replace(_BRIDGE_SLASH, "/").removeprefix("/")
+        return chunks[chunks.index("MP") + 1].replace(_BRIDGE_SLASH, "/").removeprefix("/")
     return chunks[9].replace(_RMW_SLASH, "/").removeprefix("/")
 
 

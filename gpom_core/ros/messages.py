@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.errors import RosMessageError
+from gpom_core.errors import InvalidTransformError, RosMessageError
 from gpom_core.ros import cdr
 from gpom_core.scan import Scan
 from gpom_core.sweep import Sweep
@@ -94,15 +94,29 @@ def transforms_of(message: Any) -> Iterator[StampedTransform]:
     """Take the transforms from a ``tf2_msgs/TFMessage``.
 
     Raises:
-        InvalidTransformError: one of them is no transform; those before it are good.
+        InvalidTransformError: one of them is no transform; only after all that are good.
     """
+    bad: InvalidTransformError | None = None
     for item in message.transforms:
-        yield StampedTransform(
-            frame_name(item.header.frame_id),
-            frame_name(item.child_frame_id),
-            stamp_ns(item.header.stamp),
-            _rigid(item.transform.translation, item.transform.rotation),
-        )
+        try:
+            transform = _transform(item)
+        except InvalidTransformError as error:  # a joint without a reading must not take all along
+            bad = bad or error
+        else:
+            yield transform
+    if bad is not None:
+        raise bad
+
+
+def _transform(item: Any) -> StampedTransform:
+    parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
+    if not parent or not child or parent == child:
+        raise InvalidTransformError(f"the transform from {parent!r} to {child!r} relates no frames")
+    try:
+        pose = _rigid(item.transform.translation, item.transform.rotation)
+    except InvalidTransformError as error:
+        raise InvalidTransformError(f"from {parent} to {child}: {error}") from error
+    return StampedTransform(parent, child, stamp_ns(item.header.stamp), pose)
 
 
 def pose_of(message: Any) -> StampedPose:

@@ -17,7 +17,7 @@ from gpom_core.ros.keys import (
     TopicPattern,
     Transport,
     data_selector,
-    presence_selector,
+    presence_selectors,
     topic_of,
     topic_of_presence,
 )
@@ -156,10 +156,7 @@ class RosGateway:
                         timeout=_ASK_S,
                     )
 
-        key = presence_selector("bridge", self._settings.domain, cdr.TF_MESSAGE)
-        self._held.append(
-            session.liveliness().declare_subscriber(key, _caught(on_token), history=True)
-        )
+        self._watch_tokens(session, "bridge", cdr.TF_MESSAGE, on_token)
 
     def _receive(
         self, kind: Kind, transport: Transport, pattern: TopicPattern
@@ -191,10 +188,19 @@ class RosGateway:
                 alive = self._tokens[robot] > 0
             sink.on_presence(robot, alive)
 
-        key = presence_selector(transport, self._settings.domain, cdr.LASER_SCAN)
-        self._held.append(
-            session.liveliness().declare_subscriber(key, _caught(on_token), history=True)
-        )
+        self._watch_tokens(session, transport, cdr.LASER_SCAN, on_token)
+
+    def _watch_tokens(
+        self,
+        session: zenoh.Session,
+        transport: Transport,
+        type_name: str,
+        hear: Callable[[zenoh.Sample], None],
+    ) -> None:
+        for key in presence_selectors(transport, self._settings.domain, type_name):
+            self._held.append(
+                session.liveliness().declare_subscriber(key, _caught(hear), history=True)
+            )
 
 
 class _Loop:

@@ -6,9 +6,8 @@ No zenoh and no thread: messages go in one by one, in the order they came.
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from math import isfinite
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -107,7 +106,8 @@ class Intake:
                 self._take_transforms(state, message)
         except (RosMessageError, InvalidTransformError) as error:
             reason = error.reason if isinstance(error, RosMessageError) else "bad_transform"
-            state.tally.drop(reason, _named(message.kind, error), self._clock.unix_s())
+            about = _about(message.kind)
+            state.tally.drop(reason, about, _named(message.kind, error), self._clock.unix_s())
             logger.debug("%s of %s refused: %s", message.kind, name, error)
         if message.kind in {"scan", "pose"} or message.origin.robot is not None:
             self._pass_on(name, state)
@@ -121,8 +121,11 @@ class Intake:
 
     def report(self) -> dict[str, IntakeStatus]:
         """Tell how it goes with every robot that sends scans."""
+        unix_s = self._clock.unix_s()
         return {
-            name: _status(state) for name, state in self._robots.items() if state.tally.received
+            name: _status(state, unix_s)
+            for name, state in self._robots.items()
+            if state.tally.received
         }
 
     def _robot(self, message: RosMessage) -> tuple[str, _Robot] | None:
@@ -174,26 +177,38 @@ class Intake:
                 try:
                     payload = wire.encode(self._believed(scan))
                 except InvalidScanError as error:
-                    state.tally.drop(error.reason, str(error), unix_s)
+                    state.tally.drop(error.reason, _about("scan"), str(error), unix_s)
                 else:
                     self._deliver(name, sensor, payload)
 
     def _believed(self, scan: Scan) -> Scan:
-        if self._settings.no_returns == "free" or not scan.no_returns().any():
+        """Say of no-returns what the settings say of them."""
+        settings = self._settings
+        ceiling_m = settings.range_ceiling_m
+        nothing = scan.no_returns()
+        if ceiling_m is not None:
+            nothing |= scan.ranges_m >= ceiling_m
+        if not nothing.any() or (settings.no_returns == "free" and ceiling_m is None):
             return scan
-        return replace(scan, ranges_m=np.where(scan.no_returns(), np.nan, scan.ranges_m))
+        meaning = np.inf if settings.no_returns == "free" else np.nan
+        ranges_m = np.where(nothing, np.float32(meaning), scan.ranges_m)
+        # Nobody has looked beyond the ceiling.
+        range_max_m = min(scan.range_max_m, ceiling_m or np.inf)
+        return replace(scan, ranges_m=ranges_m, range_max_m=range_max_m)
+
+
+def _about(kind: Kind) -> str:
+    return f"messages of {kind}"  # no frame has a blank in its name
 
 
 def _named(kind: Kind, error: GpomError) -> str:
     return str(error) if kind == "scan" else f"a message of {kind} cannot be used: {error}"
 
 
-def _status(state: _Robot) -> IntakeStatus:
+def _status(state: _Robot, unix_s: float) -> IntakeStatus:
     tally = state.tally
-    problem = tally.problem
-    if problem is not None:
-        since = datetime.fromtimestamp(tally.problem_unix_s, UTC)
-        problem = f"{problem}, since {since:%Y-%m-%dT%H:%M:%SZ}"
+    # Messages that cannot be read clear nothing when they stop.
+    tally.troubles.forget(map(_about, get_args(Kind)), unix_s)
     return IntakeStatus(
         received=tally.received,
         waiting=sum(map(len, state.streams.values())),
@@ -201,5 +216,5 @@ def _status(state: _Robot) -> IntakeStatus:
         uncorrected=tally.uncorrected,
         dropped=dict(tally.dropped),
         age_s=state.age_s,
-        problem=problem,
+        problem=tally.troubles.told(),
     )

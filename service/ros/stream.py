@@ -5,12 +5,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from gpom_core.errors import InvalidScanError, UnknownPoseError
-from gpom_core.frames import FrameTree
+from gpom_core.frames import SET_BACK_S, FrameTree
 from gpom_core.ros.attachment import Attachment
 from gpom_core.scan import Scan
 from gpom_core.sweep import Stream, Sweep, to_scan, to_still_scan
+from service.ros.troubles import Troubles
 
 _PATIENCE_S = 0.5  # transforms come a little after the scans; that alone is no problem
+_SET_BACK_NS = round(SET_BACK_S * 1e9)
+_PUBLISHERS_MAX = 16  # of one sensor, remembered
+_GAP_MAX = 1_000_000  # who jumps by more has begun to count anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,27 +43,25 @@ class Tally:
         delayed: had to wait for a transform, and got it.
         uncorrected: motion within the sweep is left in, as the transform at its end did not come.
         dropped: by reason.
-        problem: what is wrong now; None while scans go through.
-        problem_unix_s: since when.
+        troubles: what is wrong now.
     """
 
     received: int = 0
     delayed: int = 0
     uncorrected: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
-    problem: str | None = None
-    problem_unix_s: float = 0.0
+    troubles: Troubles = field(default_factory=Troubles)
 
-    def drop(self, reason: str, problem: str, unix_s: float) -> None:
-        """Count a scan that comes to nothing."""
+    def drop(self, reason: str, about: str, problem: str, unix_s: float) -> None:
+        """Count a scan that comes to nothing; the rest as `Troubles.note`."""
         self.dropped[reason] += 1
-        self.trouble(problem, unix_s)
+        self.troubles.note(about, problem, unix_s)
 
-    def trouble(self, problem: str, unix_s: float) -> None:
-        """Note what is wrong; it keeps the time at which things began to go wrong."""
-        if self.problem is None:
-            self.problem_unix_s = unix_s
-        self.problem = problem
+
+@dataclass(slots=True)
+class _Publisher:
+    sequence: int
+    source_ns: int
 
 
 @dataclass(slots=True)
@@ -74,7 +76,8 @@ class SensorStream:
     """One sensor: sweeps go in, scans come out in the same order. Owned by one thread.
 
     rmw_zenoh numbers the messages of a publisher. The numbers of the scans follow them, so that
-    what was lost on the way is a gap, and what was dropped here is none.
+    what was lost on the way is a gap, and what was dropped here is none. Several publishers may
+    share a topic: each is followed by its own numbers.
     """
 
     def __init__(self, placing: Placing, tree: FrameTree, tally: Tally) -> None:
@@ -82,12 +85,12 @@ class SensorStream:
         self._tree = tree
         self._tally = tally
         self._waiting: deque[_Waiting] = deque()
-        self._gid: bytes | None = None
+        self._publishers: dict[bytes, _Publisher] = {}
         self._boot = 0
-        self._before_first = 0
         self._seq = 0
         self._dropped_here = 0
         self._held_up = 0  # of those that wait, so many were here when the first had to
+        self._last_stamp_ns: int | None = None
 
     def __len__(self) -> int:
         """Sweeps that wait."""
@@ -95,19 +98,38 @@ class SensorStream:
 
     def add(self, sweep: Sweep, origin: Attachment | None, now_s: float, unix_s: float) -> None:
         """Take a sweep in."""
-        gid = b"" if origin is None else origin.gid
-        if gid != self._gid:  # the publisher was started anew
-            self._gid, self._boot = gid, max(round(unix_s * 1e9), self._boot + 1)
-            self._before_first = 0 if origin is None else origin.sequence - 1
-            self._seq = self._dropped_here = 0
-        number = self._seq + 1 if origin is None else origin.sequence - self._before_first
-        if number <= self._seq:
+        step = self._step(origin)
+        if step == 0:
             self._tally.dropped["repeated"] += 1
             return
-        self._seq = number
+        if step is None:  # a publisher that is new, or was started anew
+            self._boot = max(round(unix_s * 1e9), self._boot + 1)
+            self._seq = self._dropped_here = 0
+        self._seq += step or 1
+        last_ns, self._last_stamp_ns = self._last_stamp_ns, sweep.stamp_ns
+        if last_ns is not None and last_ns - sweep.stamp_ns > _SET_BACK_NS:
+            self._tree.set_back(sweep.frame, sweep.stamp_ns)
         if len(self._waiting) >= self._placing.waiting_max:
             self._drop("waiting_full", "too many scans wait for their transforms", unix_s)
-        self._waiting.append(_Waiting(sweep, self._boot, number, now_s))
+        self._waiting.append(_Waiting(sweep, self._boot, self._seq, now_s))
+
+    def _step(self, origin: Attachment | None) -> int | None:
+        """Tell by how much the number grows: more than 1 after a gap, 0 for a repetition."""
+        if origin is None:
+            return 1 if self._boot else None
+        last = self._publishers.pop(origin.gid, None)
+        self._publishers[origin.gid] = _Publisher(origin.sequence, origin.source_ns)
+        if len(self._publishers) > _PUBLISHERS_MAX:
+            self._publishers.pop(next(iter(self._publishers)))
+        if last is None:
+            return None
+        step = origin.sequence - last.sequence
+        if step > 0:
+            return step if step <= _GAP_MAX else None
+        if origin.source_ns > last.source_ns:  # numbers begin again under the same name
+            return None
+        self._publishers[origin.gid] = last
+        return 0
 
     def placed(
         self, covariance: Callable[[], tuple[float, ...]], now_s: float, unix_s: float
@@ -126,14 +148,14 @@ class SensorStream:
                 else:
                     self._held_up = len(self._waiting)
                     if now_s - head.arrived_s > _PATIENCE_S:
-                        self._tally.trouble(str(error), unix_s)
+                        self._tally.troubles.note(head.sweep.frame, str(error), unix_s)
                     return
             except InvalidScanError as error:
                 self._drop(error.reason, str(error), unix_s)
             else:
                 self._tally.delayed += self._held_up > 0
                 self._pop()
-                self._tally.problem = None
+                self._tally.troubles.clear(head.sweep.frame)
                 yield scan
 
     def _place(self, head: _Waiting, covariance: tuple[float, ...], expired: bool) -> Scan:
@@ -157,7 +179,7 @@ class SensorStream:
     def _drop(self, reason: str, problem: str, unix_s: float) -> None:
         head = self._pop()
         self._dropped_here += head.boot == self._boot
-        self._tally.drop(reason, problem, unix_s)
+        self._tally.drop(reason, head.sweep.frame, problem, unix_s)
 
     def _pop(self) -> _Waiting:
         self._held_up = max(self._held_up - 1, 0)

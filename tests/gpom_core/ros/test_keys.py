@@ -9,12 +9,20 @@ from gpom_core.ros.keys import (
     data_key,
     data_selector,
     node_token,
-    presence_selector,
+    presence_selectors,
     publisher_token,
     topic_of,
     topic_of_presence,
 )
-from tests.gpom_core.ros.vectors import KEY, KEY_BRIDGE, KEY_HUMBLE, PRESENCE, PRESENCE_BRIDGE
+from tests.gpom_core.ros.vectors import (
+    KEY,
+    KEY_BRIDGE,
+    KEY_HUMBLE,
+    PRESENCE,
+    PRESENCE_BRIDGE,
+    PRESENCE_BRIDGE_0,
+    PRESENCE_ROLLING,
+)
 
 
 def matches(selector: str, key: str) -> bool:
@@ -37,11 +45,18 @@ def test_domains_are_kept_apart() -> None:
 
 
 @pytest.mark.parametrize(
-    ("transport", "token"), [("rmw_zenoh", PRESENCE), ("bridge", PRESENCE_BRIDGE)]
+    ("transport", "token"),
+    [
+        ("rmw_zenoh", PRESENCE),
+        ("rmw_zenoh", PRESENCE_ROLLING),
+        ("bridge", PRESENCE_BRIDGE),
+        ("bridge", PRESENCE_BRIDGE_0),
+    ],
 )
-def test_real_tokens_are_heard_and_read(transport, token) -> None:
-    assert matches(presence_selector(transport, 0, cdr.LASER_SCAN), token)
-    assert not matches(presence_selector(transport, 0, cdr.TF_MESSAGE), token)
+def test_real_tokens_are_heard_once_and_read(transport, token) -> None:
+    heard = presence_selectors(transport, 0, cdr.LASER_SCAN)
+    assert sum(matches(selector, token) for selector in heard) == 1
+    assert not any(matches(key, token) for key in presence_selectors(transport, 0, cdr.TF_MESSAGE))
     assert topic_of_presence(transport, token) == "robot3/scan"
 
 

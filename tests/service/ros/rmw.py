@@ -35,7 +35,7 @@ class Talker:
         zid = self.session.zid()
         if self.transport == "bridge":
             dashed = (text.replace("/", "§") for text in (topic, kind))
-            key = f"@ros2_lv/{zid}/MP/{'/'.join(dashed)}/:1::1,5"
+            key = f"@/{zid}/@ros2_lv/MP/{'/'.join(dashed)}/:1::0,5:typehash={self._hash(kind)};"
         else:
             name = topic.replace("/", "%")
             what = f"%{name}/{_dds(kind)}/{self._hash(kind)}"
