@@ -48,7 +48,10 @@ def doctor(
             for heard in listener.messages(seconds, stop):
                 examination.hear(heard)
         reports = examination.report(listener.announced)
-        problems = _of_the_whole(session, prefix, domain, ways, reports)
+        problems = [
+            *(f"{what} ({count} times)" for what, count in examination.troubles.items()),
+            *_of_the_whole(session, prefix, domain, ways, reports),
+        ]
     if as_json:
         streams = [asdict(report) for report in reports]
         typer.echo(json.dumps({"streams": streams, "problems": problems}, indent=2))
@@ -89,4 +92,5 @@ def _line(report: StreamReport) -> str:
         f"{report.topic} ({report.way}): {report.scans} scans, {report.rate_hz:.1f} Hz, "
         f"{report.beams} beams{where}{lost}, age {report.age_s:+.2f} s"
     )
-    return "\n".join([head, *(f"  ! {problem}" for problem in report.problems)])
+    problems = (f"  ! {problem}" for problem in report.problems)
+    return "\n".join([head, *problems, *(f"  - {note}" for note in report.notes)])

@@ -1,17 +1,17 @@
 """What is wrong with a fleet, told from a few seconds of what its robots say."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from clients.fleet_frames import FleetFrames
 from clients.listener import SCAN_TYPE, Heard, Way
 from gpom_core import wire
-from gpom_core.errors import GpomError, UnknownPoseError
-from gpom_core.frames import FrameTree
+from gpom_core.errors import GpomError
 from gpom_core.ros import attachment, cdr
-from gpom_core.ros.messages import pose_of, read_sweep, read_transforms
+from gpom_core.ros.messages import pose_of, read_sweep
 from gpom_core.wire import DEFAULT_MAX_BEAMS
 
 CLOCK_OFF_S = 0.5
@@ -20,6 +20,7 @@ SLOW_HZ = 1.0
 
 _NANOSECONDS = 1e9
 _KEPT_STAMPS = 2000
+_DAY_S = 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +38,7 @@ class StreamReport:
         age_s: median of how old scans were when they came, by their own stamps.
         placed: share whose place in the map is known.
         problems: sentences, the worst first; empty when all is well.
+        notes: what is no problem, but good to know.
     """
 
     way: Way
@@ -48,7 +50,8 @@ class StreamReport:
     lost: int | None
     age_s: float
     placed: float
-    problems: tuple[str, ...]
+    problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -58,6 +61,7 @@ class _Stream:
     lost: int | None = None
     numbers: dict[bytes, int] = field(default_factory=dict)
     stamps_ns: list[int] = field(default_factory=list)
+    frames: list[str] = field(default_factory=list)
     arrived_ns: list[int] = field(default_factory=list)
     broken: Counter[str] = field(default_factory=Counter)
 
@@ -70,6 +74,7 @@ class _Stream:
     def came(self, stamp_ns: int, arrived_ns: int) -> None:
         if len(self.stamps_ns) < _KEPT_STAMPS:
             self.stamps_ns.append(stamp_ns)
+            self.frames.append(self.frame)
         self.arrived_ns.append(arrived_ns)
 
 
@@ -85,13 +90,10 @@ class Examination:
     def __init__(
         self, map_frame: str = "map", pose_from: str = "tf", base_frame: str = "base_link"
     ) -> None:
-        self._map_frame = map_frame
         self._pose_from = pose_from
         self._base_frame = base_frame
         self._streams: dict[tuple[Way, str], _Stream] = {}
-        self._root = FrameTree(keep_s=None)
-        self._trees: dict[str, FrameTree] = {}
-        self._transforms: Counter[str] = Counter()
+        self._frames = FleetFrames(map_frame, from_tf=pose_from == "tf")
         self.troubles: Counter[str] = Counter()
 
     def hear(self, heard: Heard) -> None:
@@ -106,9 +108,10 @@ class Examination:
             else:
                 self._hear_pose(heard)
         except GpomError as error:
-            self.troubles[f"/{heard.topic} ({heard.way}): {error}"] += 1
             if heard.type_name in {SCAN_TYPE, cdr.LASER_SCAN}:
                 self._stream(heard).broken[str(error)] += 1
+            else:
+                self.troubles[f"{heard.topic} ({heard.way}): {error}"] += 1
 
     def report(self, announced: Mapping[tuple[Way, str], str] | None = None) -> list[StreamReport]:
         """Tell how every stream is, also those that are announced and never came."""
@@ -141,33 +144,20 @@ class Examination:
         stream.came(sweep.stamp_ns, heard.arrived_ns)
 
     def _hear_transforms(self, heard: Heard) -> None:
-        fixed = heard.topic.endswith("tf_static")
-        tree = self._tree(heard.topic)
-        for item in read_transforms(heard.payload):
-            self._transforms[heard.topic] += 1
-            if fixed or self._pose_from == "tf":
-                tree.add(item.parent, item.child, item.pose, None if fixed else item.stamp_ns)
+        gid = None if heard.attachment is None else attachment.read(heard.attachment).gid
+        self._frames.hear_transforms(heard.topic, heard.payload, gid)
 
     def _hear_pose(self, heard: Heard) -> None:
         wanted = {"odometry": cdr.ODOMETRY, "pose": cdr.POSE}.get(self._pose_from)
         if heard.type_name == wanted:
             found = pose_of(cdr.decode(heard.payload, heard.type_name))
-            child = found.child or self._base_frame
-            self._tree(heard.topic).add(self._map_frame, child, found.pose, found.stamp_ns)
-
-    def _tree(self, topic: str) -> FrameTree:
-        """Give the frames of the robot, told by the first name of the topic."""
-        robot, slash, _ = topic.partition("/")
-        if not slash:
-            return self._root
-        return self._trees.setdefault(robot, FrameTree(self._root, keep_s=None))
+            self._frames.hear_pose(heard.topic, found, self._base_frame)
 
     def _judge(self, way: Way, topic: str, stream: _Stream) -> StreamReport:
         scans = len(stream.arrived_ns)
         ages_s = (
             np.array(stream.arrived_ns[: len(stream.stamps_ns)]) - np.array(stream.stamps_ns)
         ) / _NANOSECONDS
-        age_s = float(np.median(ages_s)) if scans else 0.0
         placed, reasons = self._place(way, topic, stream)
         report = StreamReport(
             way=way,
@@ -177,37 +167,33 @@ class Examination:
             beams=stream.beams,
             frame=stream.frame,
             lost=stream.lost,
-            age_s=age_s,
+            age_s=float(np.median(ages_s)) if scans else 0.0,
             placed=placed,
-            problems=(),
         )
-        problems = [
-            *(f"{count} scans cannot be read: {error}" for error, count in stream.broken.items()),
-            *reasons,
-            *_general_problems(report),
-        ]
-        return StreamReport(
-            **{name: getattr(report, name) for name in report.__slots__ if name != "problems"},
-            problems=tuple(problems),
+        broken = [f"{count} scans cannot be read: {why}" for why, count in stream.broken.items()]
+        return replace(
+            report,
+            problems=(*broken, *reasons, *_general_problems(report)),
+            notes=tuple(_notes(report)),
         )
 
     def _place(self, way: Way, topic: str, stream: _Stream) -> tuple[float, list[str]]:
         if way == "gpom" or not stream.stamps_ns:
             return 1.0, []
-        tree = self._tree(topic)
-        reasons: dict[str, str] = {}
-        counts: Counter[str] = Counter()
-        for stamp_ns in stream.stamps_ns:
-            try:
-                tree.lookup(self._map_frame, stream.frame, stamp_ns)
-            except UnknownPoseError as error:
-                counts[error.reason] += 1
-                reasons[error.reason] = str(error)
+        scans = len(stream.stamps_ns)
+        counts, reasons = self._frames.place(
+            topic, zip(stream.frames, stream.stamps_ns, strict=True)
+        )
         # Of the last scans the transforms are still on their way, and of the first ones nobody
         # was listening yet: only when most are so, something is wrong.
-        bad = counts["unconnected"] > 0 or counts.total() > len(stream.stamps_ns) / 2
-        placed = 1.0 - counts.total() / len(stream.stamps_ns)
-        return placed, [reasons[reason] for reason, _ in counts.most_common()] if bad else []
+        bad = counts["unconnected"] > 0 or counts.total() > scans / 2
+        quarrels = [
+            quarrel
+            for frame in sorted(set(stream.frames))
+            for quarrel in self._frames.quarrels(topic, frame)
+        ]
+        placed = 1.0 - counts.total() / scans
+        return placed, list(dict.fromkeys([*(reasons if bad else []), *quarrels]))
 
 
 def _general_problems(report: StreamReport) -> list[str]:
@@ -217,7 +203,7 @@ def _general_problems(report: StreamReport) -> list[str]:
     if report.lost:
         share = report.lost / (report.lost + report.scans)
         problems.append(f"{report.lost} scans ({share:.0%}) are lost on the way")
-    if abs(report.age_s) > CLOCK_OFF_S:
+    if CLOCK_OFF_S < abs(report.age_s) < _DAY_S:
         way = "behind" if report.age_s > 0 else "ahead of"
         problems.append(
             f"scans are stamped {abs(report.age_s):.1f} s {way} the clock of this machine: "
@@ -226,6 +212,22 @@ def _general_problems(report: StreamReport) -> list[str]:
     if report.scans > 1 and report.rate_hz < SLOW_HZ:
         problems.append(f"scans come only {report.rate_hz:.1f} times a second")
     return problems
+
+
+def _notes(report: StreamReport) -> Iterator[str]:
+    if abs(report.age_s) > _DAY_S:
+        yield (
+            "scans have simulation time (use_sim_time) or no stamp; fine where transforms have "
+            "the same time"
+        )
+    chunks = report.topic.split("/")
+    if report.way != "gpom" and (len(chunks) > 2 or chunks[-1] != "scan"):
+        places = ["{robot}", "{sensor}"][: len(chunks) - 1]
+        pattern = "/".join([*chunks[: -len(places) - 1], *places, chunks[-1]])
+        yield (
+            "the service hears this topic only when told to, perhaps by "
+            f'ros.scan_topics: ["{pattern}"]'
+        )
 
 
 def _rate_hz(arrived_ns: Sequence[int]) -> float:

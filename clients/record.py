@@ -9,7 +9,15 @@ from typing import Annotated, Final, Self
 
 import typer
 from rich.console import Console
-from rosbags.interfaces import Connection
+from rosbags.interfaces import (
+    Connection,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from clients.children import stop_on_signal
@@ -25,6 +33,20 @@ from gpom_core.transforms import from_planar
 
 _MAP_FRAME = "map"
 _BAG_VERSION: Final = 9
+_NEVER = QosTime(2_147_483_647, 4_294_967_295)
+# `ros2 bag play` offers topics as they were recorded; without this, who comes late to the replay
+# would not hear the fixed transforms.
+_LATCHED = Qos(
+    QosHistory.KEEP_LAST,
+    1,
+    QosReliability.RELIABLE,
+    QosDurability.TRANSIENT_LOCAL,
+    _NEVER,
+    _NEVER,
+    QosLiveliness.AUTOMATIC,
+    _NEVER,
+    avoid_ros_namespace_conventions=False,
+)
 
 
 class BagRecorder:
@@ -60,7 +82,10 @@ class BagRecorder:
             key = (topic, type_name)
             connection = self._connections.get(key)
             if connection is None:
-                connection = self._writer.add_connection(topic, type_name, typestore=cdr.types())
+                qos = [_LATCHED] if topic.endswith("tf_static") else []
+                connection = self._writer.add_connection(
+                    topic, type_name, typestore=cdr.types(), offered_qos_profiles=qos
+                )
                 self._connections[key] = connection
             self._writer.write(connection, heard.arrived_ns, payload)
             self.counts[topic] += 1

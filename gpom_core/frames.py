@@ -172,13 +172,6 @@ class FrameTree:
         own = {child: track.parent for child, track in self._tracks.items()}
         return own if self._shared is None else self._shared.frames() | own
 
-    def newest_ns(self, child: str) -> int | None:
-        """Give the last stamp known of a frame in its parent; None for fixed and unknown ones."""
-        track = self._track(child)
-        if track is None or track.fixed is not None or not track.stamps_ns:
-            return None
-        return track.stamps_ns[-1]
-
     def _way_up(self, frame: str) -> Iterator[tuple[str, _Track]]:
         for _ in range(_LONGEST_CHAIN):  # frames that go round in a circle must not hang anything
             track = self._track(frame)

@@ -40,7 +40,11 @@ class Guest(Protocol):
 
 
 class ZenohSource:
-    """The session of the service: a peer that listens, connects to routers, or both."""
+    """The session of the service: it listens, connects to routers, or both.
+
+    It is a router itself. Nodes of rmw_zenoh are peers of the router beside them, and a router
+    passes nothing from peer to peer: a service that was a peer too would hear none of them.
+    """
 
     def __init__(self, settings: ZenohSettings, guests: Sequence[Guest] = ()) -> None:
         self._settings = settings
@@ -198,7 +202,7 @@ def _caught(callback: Callable[[_T], None]) -> Callable[[_T], None]:
 
 def _configuration(settings: ZenohSettings) -> zenoh.Config:
     values: dict[str, Any] = {
-        "mode": "peer",
+        "mode": "router",
         "listen/endpoints": list(settings.listen),
         "connect/endpoints": list(settings.connect),
         # A router that is down comes back: keep trying, and say so in readiness.
@@ -238,7 +242,7 @@ def _identities(settings: ZenohSettings) -> dict[str, Any]:
 
 
 def _locators(session: zenoh.Session) -> tuple[str, ...]:
-    for reply in session.get(f"@/{session.zid()}/peer", timeout=2.0):
+    for reply in session.get(f"@/{session.zid()}/router", timeout=2.0):
         if reply.ok is not None:
             return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])
     return ()

@@ -36,6 +36,7 @@ _TICK_S = 0.05
 _REPORT_S = 0.25
 _STATIC_HISTORY = 100  # broadcasters of one robot, each with its last message
 _ASK_S = 5.0
+_UNHEARD_MAX = 100  # topics that are warned of
 _OLD_CACHES = ("@/*/@ros2_pub_cache", "@ros2_pub_cache/*")
 
 
@@ -69,6 +70,7 @@ class RosGateway:
         self._held: list[Any] = []
         self._worker: Worker | None = None
         self._tokens: Counter[str] = Counter()
+        self._unheard: set[str] = set()
         self._tokens_lock = threading.Lock()
 
     def attach(self, session: zenoh.Session, sink: SourceSink) -> None:
@@ -181,6 +183,7 @@ class RosGateway:
             topic = topic_of_presence(transport, str(sample.key_expr))
             origin: Origin | None = next(filter(None, (p.match(topic) for p in patterns)), None)
             if origin is None:
+                self._warn_of_unheard(topic)
                 return
             robot = origin.robot or self._settings.robot
             with self._tokens_lock:
@@ -189,6 +192,17 @@ class RosGateway:
             sink.on_presence(robot, alive)
 
         self._watch_tokens(session, transport, cdr.LASER_SCAN, on_token)
+
+    def _warn_of_unheard(self, topic: str) -> None:
+        with self._tokens_lock:
+            if topic in self._unheard or len(self._unheard) >= _UNHEARD_MAX:
+                return
+            self._unheard.add(topic)
+        logger.warning(
+            "nobody takes the laser scans of /%s: the setting ros.scan_topics is %s",
+            topic,
+            ", ".join(self._settings.scan_topics),
+        )
 
     def _watch_tokens(
         self,

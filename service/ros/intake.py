@@ -94,7 +94,8 @@ class Intake:
         """Take a message; what is wrong with it is counted at its robot."""
         robot = self._robot(message)
         if robot is None:
-            self.strangers += message.kind == "scan"
+            if message.kind == "scan":
+                self._refuse_stranger(message.origin.robot or self._settings.robot)
             return
         name, state = robot
         try:
@@ -139,6 +140,16 @@ class Intake:
                 return None
             state = self._robots[name] = _Robot(FrameTree(self._shared))
         return name, state
+
+    def _refuse_stranger(self, name: str) -> None:
+        if self.strangers == 0:
+            logger.warning(
+                "scans of %s are refused, as those of all further robots: the setting "
+                "ingest.robots_max allows %d",
+                name,
+                self._robots_max,
+            )
+        self.strangers += 1
 
     def _take_scan(self, state: _Robot, message: RosMessage) -> None:
         state.tally.received += 1

@@ -95,3 +95,62 @@ def test_native_scans_bring_their_pose() -> None:
     ]
     (report,) = examined(*scans)
     assert (report.lost, report.placed, report.frame) == (1, 1.0, "")
+
+
+def test_namespaces_may_be_deep_and_complete_each_other() -> None:
+    """Frames of two robots have the same names; the first name of their topics is the same too."""
+    messages = [heard("tf_static", tf(("map", "odom", (0, 0, 0), 0)), START_NS)]
+    for index, robot in enumerate(("fleet/r1", "fleet/r2")):
+        frame = f"laser{index}"
+        messages.append(heard(f"{robot}/tf_static", tf(("base", frame, (0, 0, 0), 0)), START_NS))
+        for tenth in range(20):
+            at = START_NS + tenth * S // 10
+            messages.append(heard(f"{robot}/tf", tf(("odom", "base", (index, 0, 0), at)), at))
+            messages.append(heard(f"{robot}/front/scan", laser_scan(at, frame), at))
+    one, other = examined(*messages)
+    assert (one.problems, other.problems) == ((), ())
+    assert 'perhaps by ros.scan_topics: ["fleet/{robot}/{sensor}/scan"]' in one.notes[0]
+
+
+def test_topics_of_the_default_pattern_need_no_note() -> None:
+    (report,) = examined(*drive())
+    assert report.notes == ()
+
+
+def test_nodes_that_disagree_are_told() -> None:
+    def said(parent, name, at):
+        beside = write(Attachment(1, at, name * 16))
+        message = tf((parent, "base", (0, 0, 0), at))
+        return Heard("rmw_zenoh", "r1/tf", message.__msgtype__, cdr(message), at, beside)
+
+    fixed = heard("r1/tf_static", tf(("base", "laser", (0, 0, 0), 0)), START_NS)
+    times = [START_NS + tenth * S // 10 for tenth in range(20)]
+    scans = [heard("r1/scan", laser_scan(at), at) for at in times]
+    twice = [said("map", name, at) for at in times for name in (b"a", b"b")]
+    assert "2 nodes publish the transform from map to base" in problem_of(fixed, *twice, *scans)
+    parents = [said(parent, b"a", at) for at in times for parent in ("map", "odom")]
+    assert "base hangs on odom and on map by turns" in problem_of(fixed, *parents, *scans)
+
+
+def test_two_lasers_on_one_topic_are_placed_each_by_its_frame() -> None:
+    messages = list(drive())
+    rear = [heard("r1/scan", laser_scan(m.arrived_ns, "rear"), m.arrived_ns) for m in messages]
+    assert "no frame is called rear" in problem_of(*messages, *rear[:3], *drive(scans=1))
+
+
+def test_simulation_time_is_no_clock_that_is_off() -> None:
+    fixed = heard("r1/tf_static", tf(("map", "laser", (0, 0, 0), 0)), START_NS)
+    at = 1_700_000_000 * S
+    scans = [heard("r1/scan", laser_scan(n * S // 10), at + n * S // 10) for n in range(20)]
+    (report,) = examined(fixed, *scans)
+    assert report.problems == ()
+    assert "simulation time" in report.notes[0]
+
+
+def test_transforms_that_are_none_are_told() -> None:
+    examination = Examination()
+    for message in drive():
+        examination.hear(message)
+    examination.hear(heard("r1/tf", tf(("base", "wheel", (np.nan, 0, 0), START_NS)), START_NS))
+    (trouble,) = examination.troubles
+    assert "r1/tf (rmw_zenoh): from base to wheel" in trouble

@@ -5,6 +5,8 @@ import threading
 import time
 
 import pytest
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
 from typer.testing import CliRunner
 
 from clients.cli import app
@@ -77,6 +79,11 @@ def test_a_fleet_is_recorded_and_replayed(fleet, tmp_path) -> None:
         log = open_log(bag, ReadOptions(topic=f"/{robot}/scan"))
         assert len(log) >= 5
         assert all(scan.pose.x_m % 1.0 == 0.5 for scan in log)
+    with AnyReader([bag]) as reader:
+        offered = {c.topic: c.ext.offered_qos_profiles for c in reader.connections}
+    (fixed,) = offered["/r1/tf_static"]
+    assert fixed.durability is QosDurability.TRANSIENT_LOCAL
+    assert not offered["/r1/scan"]
     native = list(open_log(bag, ReadOptions(topic="/r3/laser")))
     assert native[0].pose[:2] == (0.5, 1.0)
     assert native[0].ranges_m == pytest.approx(scan_at(0.5, 1.0).ranges_m)

@@ -5,14 +5,17 @@ import json
 import zenoh
 
 
-def open_session(*, connect: str | None = None, mode: str = "client") -> zenoh.Session:
+def open_session(
+    *, connect: str | None = None, mode: str = "client", gossip: bool = False
+) -> zenoh.Session:
     config = zenoh.Config()
     for path, value in {
         "mode": mode,
         "listen/endpoints": [] if mode == "client" else ["tcp/127.0.0.1:0"],
         "connect/endpoints": [connect] if connect else [],
         "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
+        "scouting/gossip/enabled": gossip,
+        "routing/router/peers_failover_brokering": False,
         "transport/shared_memory/enabled": False,
         "adminspace/enabled": True,
     }.items():

@@ -1,4 +1,5 @@
 import time
+from contextlib import ExitStack
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from service.settings import ZenohSettings
 from service.zenoh_source import ZenohSource
 from tests.gpom_core.ros.samples import S, cdr, laser_scan, odometry, tf
 from tests.service.conftest import wait_until
-from tests.service.ros.rmw import talker
+from tests.service.fleet_link import locator, open_session
+from tests.service.ros.rmw import Talker, talker
 
-LOCAL = ("tcp/127.0.0.1:0",)
+LISTENING = ZenohSettings(listen=("tcp/127.0.0.1:0",))
 BOTH = ("rmw_zenoh", "bridge")
 SPEAKERS = [("rmw_zenoh", False), ("rmw_zenoh", True), ("bridge", False)]
 
@@ -46,13 +48,13 @@ def opened(sink):
     """Opens sources with a gateway, and closes them."""
     sources = []
 
-    def open_source(**settings) -> str:
+    def open_source(*, zenoh=LISTENING, **settings) -> str | None:
         ros = RosSettings(**{"transports": BOTH, **settings})
         gateway = RosGateway(ros, beams_max=1000, robots_max=10)
-        source = ZenohSource(ZenohSettings(listen=LOCAL), [gateway])
+        source = ZenohSource(zenoh, [gateway])
         source.open(sink)
         sources.append(source)
-        return source.endpoints()[0]
+        return next(iter(source.endpoints()), None)
 
     yield open_source
     for source in sources:
@@ -113,12 +115,34 @@ def test_older_bridges_are_asked_for_what_they_keep(sink, opened, cache) -> None
         queryable.undeclare()
 
 
-@pytest.mark.parametrize(("transport", "humble"), SPEAKERS)
-def test_robots_come_and_go(sink, opened, transport, humble) -> None:
-    with talker(opened(), transport, humble=humble) as robot:
-        robot.appear("r1/scan", types.LASER_SCAN)
-        robot.appear("r1/camera/scan", types.LASER_SCAN)  # not one of ours
+@pytest.mark.parametrize("service_connects", [True, False])
+def test_nodes_on_their_own_router_are_heard(sink, opened, service_connects) -> None:
+    """As rmw_zenoh has it: nodes are peers, and their router passes nothing from peer to peer."""
+    with ExitStack() as held:
+        if service_connects:
+            router = held.enter_context(open_session(mode="router", gossip=True))
+            opened(zenoh=ZenohSettings(listen=(), connect=(locator(router, "router"),)))
+        else:
+            endpoint = opened()
+            router = held.enter_context(open_session(connect=endpoint, mode="router", gossip=True))
+        there = locator(router, "router")
+        node = Talker(
+            held.enter_context(open_session(connect=there, mode="peer", gossip=True)), "rmw_zenoh"
+        )
+        node.appear("r1/scan", types.LASER_SCAN)
         wait_until(lambda: sink.presence == [("r1", True)], 10.0)
+        node.say("r1/tf_static", tf(("map", "laser", (0.5, 0, 0), 0)))
+        node.say("r1/scan", laser_scan(S))
+        wait_until(lambda: len(sink.scans) == 1, 10.0)
+
+
+@pytest.mark.parametrize(("transport", "humble"), SPEAKERS)
+def test_robots_come_and_go(sink, opened, transport, humble, caplog) -> None:
+    with talker(opened(), transport, humble=humble) as robot:
+        robot.appear("r1/camera/scan", types.LASER_SCAN)  # not one of ours
+        robot.appear("r1/scan", types.LASER_SCAN)
+        wait_until(lambda: sink.presence == [("r1", True)], 10.0)
+        wait_until(lambda: "nobody takes the laser scans of /r1/camera/scan" in caplog.text, 10.0)
         robot.vanish()
         wait_until(lambda: sink.presence[-1] == ("r1", False), 10.0)
 
