@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gpom_core.errors import ConfigurationError, InvalidQueryError
+from gpom_core.jit import compiled
 
 Floats = NDArray[np.float64]
 
@@ -104,8 +105,8 @@ class World:
     def cast(self, origin: ArrayLike, angles_rad: ArrayLike) -> Floats:
         """Give the way from `origin` to the first surface along each direction.
 
-        All beams meet all boxes at once, as slabs: a beam is inside a box where it is inside both
-        of its pairs of parallel lines.
+        Boxes are slabs: a beam is inside one where it is inside both of its pairs of parallel
+        lines.
 
         Args:
             origin: x, y in m.
@@ -114,16 +115,31 @@ class World:
         Returns:
             (n,) in m; inf where nothing is hit, 0 inside a box.
         """
-        start = np.einsum(
-            "sij,sj->si", self._axes, np.asarray(origin, dtype=np.float64) - self._centres
-        )
-        directions = np.stack([np.cos(angles_rad), np.sin(angles_rad)])
-        slopes = self._axes @ directions  # (S, 2, n)
-        slopes = np.where(np.abs(slopes) < _TINY, _TINY, slopes)
-        near = (-self._halves - start)[:, :, None] / slopes
-        far = (self._halves - start)[:, :, None] / slopes
-        enters = np.minimum(near, far).max(axis=1)
-        leaves = np.maximum(near, far).min(axis=1)
-        hit = leaves >= np.maximum(enters, 0.0)
-        distances: Floats = np.where(hit, np.maximum(enters, 0.0), np.inf).min(axis=0)
-        return distances
+        angles = np.ascontiguousarray(angles_rad, dtype=np.float64)
+        start = np.asarray(origin, dtype=np.float64)
+        return _first_surfaces(start, angles, self._centres, self._halves, self._axes)
+
+
+@compiled
+def _first_surfaces(
+    origin: Floats, angles: Floats, centres: Floats, halves: Floats, axes: Floats
+) -> Floats:
+    """`World.cast`, box by box: (n,) for n angles."""
+    found = np.full(len(angles), np.inf)
+    cos, sin = np.cos(angles), np.sin(angles)
+    for box in range(len(centres)):
+        x, y = origin[0] - centres[box, 0], origin[1] - centres[box, 1]
+        at = axes[box, 0, 0] * x + axes[box, 0, 1] * y, axes[box, 1, 0] * x + axes[box, 1, 1] * y
+        for beam in range(len(angles)):
+            enters, leaves = 0.0, np.inf
+            for axis in range(2):
+                slope = axes[box, axis, 0] * cos[beam] + axes[box, axis, 1] * sin[beam]
+                if abs(slope) < _TINY:
+                    slope = _TINY
+                one = (-halves[box, axis] - at[axis]) / slope
+                other = (halves[box, axis] - at[axis]) / slope
+                enters = max(enters, min(one, other))
+                leaves = min(leaves, max(one, other))
+            if enters <= leaves:
+                found[beam] = min(found[beam], enters)
+    return found

@@ -1,4 +1,4 @@
-"""The one way gpom_core compiles its hot loops.
+"""The one way hot loops are compiled.
 
 Compiled code is cached on disk under a name made of the sources that it was compiled from: those of
 its module and of all that this imports. numba itself looks only at the file of the outermost
@@ -22,21 +22,22 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 _STALE_AFTER_S = 86_400.0
 _PACKAGE = Path(__file__).parent
+_OURS = ("gpom_core", "clients")  # sources whose changes are noticed
 
 
 @cache
 def _imported(module: str) -> frozenset[str]:
-    """Modules of gpom_core that `module` imports, by its source."""
+    """Modules of ours that `module` imports, by its source."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(_source(module).read_bytes())):
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-            found.update(n for n in names if n.startswith("gpom_core.") and _source(n).exists())
+            found.update(name for name in names if _is_ours(name) and _source(name).exists())
     return frozenset(found)
 
 
 def _source(module: str) -> Path:
-    path = _PACKAGE.joinpath(*module.split(".")[1:])
+    path = _PACKAGE.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
 
 
@@ -68,18 +69,18 @@ def cache_folder(module: str) -> str | None:
 
 
 def _drop_stale(folder: Path, name: str) -> None:
-    """Remove what other versions of the sources left here more than a day ago."""
-    for other in folder.glob("gpom-*"):
+    """Remove what other versions of a module's sources left here more than a day ago."""
+    for other in folder.glob(f"{name.rpartition('-')[0]}-*"):
         if other.name != name and time.time() - other.stat().st_mtime > _STALE_AFTER_S:
             shutil.rmtree(other, ignore_errors=True)
 
 
-def _is_ours(function: Callable[..., object]) -> bool:
-    return function.__module__.startswith("gpom_core.")
+def _is_ours(module: str) -> bool:
+    return module.partition(".")[0] in _OURS
 
 
 def _compile(function: _Function, **options: Any) -> _Function:
-    folder = cache_folder(function.__module__) if _is_ours(function) else None
+    folder = cache_folder(function.__module__) if _is_ours(function.__module__) else None
     options |= {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
     before = config.CACHE_DIR
     config.CACHE_DIR = folder or before  # read while decorating; others' functions keep theirs

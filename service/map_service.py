@@ -20,6 +20,7 @@ from service.journal import Journal, NoJournal
 from service.mapping import MapKeeper, MapState
 from service.metrics import Metrics
 from service.points import predict, read_request, write_answer
+from service.priority import be_nice
 from service.problems import problem_of
 from service.query_desk import QueryDesk
 from service.saver import Saver
@@ -30,6 +31,7 @@ from service.tile_store import TileStore
 
 logger = logging.getLogger(__name__)
 
+_TRAINING_NICE = 10  # nobody waits for it as for an answer, and it takes all it can get
 _DRAIN_S = 1.5  # what was received before the end is stored and integrated, if that is quick
 
 
@@ -104,7 +106,9 @@ class MapService:
         if self._pool is not None:
             self._pool.shutdown(wait=False)
         workers = self.settings.training.workers
-        self._pool = ThreadPoolExecutor(workers, thread_name_prefix="gpom-train")
+        self._pool = ThreadPoolExecutor(
+            workers, "gpom-train", initializer=be_nice, initargs=(_TRAINING_NICE,)
+        )
         return self._pool
 
     @property

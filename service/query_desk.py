@@ -6,8 +6,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
 from service.errors import BusyError, StoppingError
+from service.priority import be_nice
 
 _T = TypeVar("_T")
+
+_NICE = 5  # after scans and single points, before training
 
 
 class QueryDesk:
@@ -21,7 +24,7 @@ class QueryDesk:
         self._taken = 0
         self._lock = threading.Lock()
         self._closing = False
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix=name)
+        self._pool = ThreadPoolExecutor(threads, name, initializer=be_nice, initargs=(_NICE,))
 
     @property
     def taken(self) -> int:

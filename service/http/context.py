@@ -11,7 +11,8 @@ from service.map_service import MapService
 VERSION_HEADER = "X-Gpom-Map-Version"
 
 
-def _service(request: Request) -> MapService:
+async def _service(request: Request) -> MapService:
+    # Not async, it would be called in a thread of a pool: half the time of a query of one point.
     service: MapService = request.app.state.service
     return service
 
