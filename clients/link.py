@@ -1,6 +1,7 @@
 """The way of one stream's scans to the map service: a zenoh session, a publisher, a token."""
 
 import json
+import os
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +22,8 @@ _MILLISECONDS = 1e3
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
     """How to reach the site's zenoh network.
+
+    Certificates, passwords and the like are taken from the file that ZENOH_CONFIG names.
 
     Attributes:
         endpoints: routers to connect to, such as `tcp/127.0.0.1:7447`.
@@ -59,7 +62,9 @@ def open_session(settings: SessionSettings | None = None) -> zenoh.Session:
     try:
         config = _configure(settings)
     except zenoh.ZError as error:
-        message = f"zenoh refuses the endpoints {list(settings.endpoints)}: {error}"
+        named = os.environ.get(zenoh.Config.DEFAULT_CONFIG_PATH_ENV)
+        file = f" or the file {named}" if named else ""
+        message = f"zenoh refuses the endpoints {list(settings.endpoints)}{file}: {error}"
         raise ConfigurationError(message) from error
     try:
         return zenoh.open(config)
@@ -218,7 +223,9 @@ def _configure(settings: SessionSettings) -> zenoh.Config:
             settings.stall_timeout_s * _MICROSECONDS
         ),
     }
-    config = zenoh.Config()
+    # What else it takes to be let in, such as certificates, comes as zenoh's own tools take it.
+    named = os.environ.get(zenoh.Config.DEFAULT_CONFIG_PATH_ENV)
+    config = zenoh.Config.from_file(named) if named else zenoh.Config()
     for key, value in values.items():
         config.insert_json5(key, json.dumps(value))
     return config

@@ -10,6 +10,7 @@ mkdir -p "$work"
 base=$(sed -n 's/^ARG BASE=//p' docker/Dockerfile)
 router=$(sed -n 's/^    image: \(eclipse\/zenoh:.*\)$/\1/p' docker/compose.yaml)
 export GPOM_TAG=test GPOM_HTTP_PORT=${GPOM_HTTP_PORT:-18080} DOCKER_BUILDKIT=1
+export GPOM_ZENOH_PORT=${GPOM_ZENOH_PORT:-17447}
 export COMPOSE_PROJECT_NAME=gpom-test
 url=http://127.0.0.1:$GPOM_HTTP_PORT
 passed=0
@@ -127,6 +128,10 @@ ok "not root, read-only, without capabilities"
 warm=$("${compose[@]}" logs map | sed -n 's/.*kernels are ready after \([0-9]*\)\..*/\1/p')
 [ "${warm:-99}" -lt 20 ] || bad "loops were compiled anew: the caches of the image do not fit"
 ok "warm: loops are ready after $warm s"
+get /metrics > "$work/metrics"
+took() { sed -n "s/^gpom_scan_integration_seconds_$1 \(.*\)\.0\$/\1/p" "$work/metrics"; }
+[ "$(took count)" = "$(took 'bucket{le="3.0"}')" ] || bad "the first scan had to wait for a compiler"
+ok "no scan, not even the first, took longer than 3 s"
 
 "${compose[@]}" stop -t 20 robots > /dev/null 2>&1
 [ "$($docker inspect -f '{{.State.ExitCode}}' gpom-test-robots-1)" = 0 ] || bad "robots end with an error"
@@ -146,16 +151,43 @@ done
 [ "$(get "/v1/query?x=$x&y=$y" | field "['known'][0]")" = True ] || bad "the map is gone after down and up"
 ok "the map is kept over down and up ($scans scans)"
 
-$docker kill -s KILL $map > /dev/null
-for _ in $(seq 60); do get /readyz > /dev/null 2>&1 && break; sleep 1; done
-! get /readyz > /dev/null 2>&1 || restarted=1
-[ "${restarted:-0}" = 1 ] || { up && get /readyz > /dev/null; } || bad "is not back after it was killed"
+# From outside: what `docker kill` ends was meant to end, and is not started again.
+pid() { $docker inspect -f '{{.State.Pid}}' $map; }
+kill -KILL "$(pid)"
+for _ in $(seq 90); do sleep 1; get /readyz > /dev/null 2>&1 && break; done
+get /readyz > /dev/null || bad "is not back after it was killed"
 [ "$(get "/v1/query?x=$x&y=$y" | field "['known'][0]")" = True ] || bad "the map is gone after a kill"
-ok "back with its map after it was killed"
+ok "back by itself, with its map, after it was killed"
+health() { $docker inspect -f '{{.State.Health.Status}}' $map; }
+for _ in $(seq 30); do [ "$(health)" = healthy ] && break; sleep 1; done
+kill -STOP "$(pid)"
+for _ in $(seq 120); do [ "$(health)" = unhealthy ] && break; sleep 1; done
+found=$(health)
+kill -CONT "$(pid)"
+[ "$found" = unhealthy ] || bad "a service that hangs counts as $found"
+ok "a service that hangs is found to be unhealthy"
 
 if $docker run --rm -e GPOM_HTTP__PORT=banana gpom:test > "$work/fault.log" 2>&1; then
   bad "a bad setting is accepted"
 fi
 grep -q "http.port" "$work/fault.log" || bad "a bad setting is not named: $(cat "$work/fault.log")"
 ok "a bad setting is refused by name"
+if $docker run --rm --read-only --tmpfs /tmp -v "$work:/data:ro" gpom:test > "$work/fault.log" 2>&1; then
+  bad "a map that cannot be kept is served"
+fi
+grep -q "/data" "$work/fault.log" || bad "what is wrong with /data is not said: $(cat "$work/fault.log")"
+ok "a data directory that cannot be written to is refused by name"
+"${compose[@]}" down -v -t 5 > /dev/null 2>&1
+# And this very test: a service that does not come up must not pass.
+printf 'FROM gpom:test\nENTRYPOINT ["false"]\n' | $docker build -q -t gpom:broken - > /dev/null
+if GPOM_TAG=broken "${compose[@]}" up -d --no-build --wait --wait-timeout 60 > "$work/up.log" 2>&1; then
+  bad "a broken image passes"
+fi
+"${compose[@]}" down -v -t 5 > /dev/null 2>&1
+ok "a broken image does not pass"
+
+# shellcheck source=tests/containers/overlays.sh
+. tests/containers/overlays.sh
+production
+monitoring
 echo "$passed passed, 0 failed"
