@@ -15,6 +15,7 @@ from clients.keys import DEFAULT_ENDPOINT, StreamKeys
 from gpom_core.errors import ConfigurationError
 from gpom_core.wire import ENCODING
 
+CONFIG_ENV = "ZENOH_CONFIG"  # by which zenoh's own tools find their configuration
 _MICROSECONDS = 1e6
 _MILLISECONDS = 1e3
 
@@ -62,7 +63,7 @@ def open_session(settings: SessionSettings | None = None) -> zenoh.Session:
     try:
         config = _configure(settings)
     except zenoh.ZError as error:
-        named = os.environ.get(zenoh.Config.DEFAULT_CONFIG_PATH_ENV)
+        named = os.environ.get(CONFIG_ENV)
         file = f" or the file {named}" if named else ""
         message = f"zenoh refuses the endpoints {list(settings.endpoints)}{file}: {error}"
         raise ConfigurationError(message) from error
@@ -224,7 +225,7 @@ def _configure(settings: SessionSettings) -> zenoh.Config:
         ),
     }
     # What else it takes to be let in, such as certificates, comes as zenoh's own tools take it.
-    named = os.environ.get(zenoh.Config.DEFAULT_CONFIG_PATH_ENV)
+    named = os.environ.get(CONFIG_ENV)
     config = zenoh.Config.from_file(named) if named else zenoh.Config()
     for key, value in values.items():
         config.insert_json5(key, json.dumps(value))
