@@ -26,6 +26,11 @@ _MAGIC = {
     b"SQLite format 3\x00": "ROS 2 bag (sqlite3)",
 }
 _MOST_NAMED = 8
+_REPAIRS = {
+    "ROS 1 bag": "rosbag reindex",
+    "ROS 2 bag (MCAP)": "mcap recover, or ros2 bag reindex for a lost metadata.yaml",
+    "ROS 2 bag (sqlite3)": "ros2 bag reindex",
+}
 # What a damaged file makes rosbags raise, beside its own errors.
 _DAMAGE = (
     AnyReaderError,
@@ -71,7 +76,7 @@ class Bag:
         """
         if not connections:
             return
-        with _explained(self.path):
+        with _explained(self.path, self.kind):
             for connection, _, raw in self.reader.messages(connections):
                 yield connection.topic, self.reader.deserialize(raw, connection.msgtype)
 
@@ -121,7 +126,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         raise LogReadError(message)
     # rosbags tells of its own trouble with old bags; ours is one sentence.
     logging.getLogger("rosbags").setLevel(logging.ERROR)
-    with _explained(path):
+    with _explained(path, kind):
         reader = AnyReader([path], default_typestore=cdr.types())
         reader.open()
     try:
@@ -131,7 +136,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 
 @contextmanager
-def _explained(path: Path) -> Iterator[None]:
+def _explained(path: Path, kind: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
@@ -139,8 +144,6 @@ def _explained(path: Path) -> Iterator[None]:
         raise LogReadError(message) from error
     except _DAMAGE as error:
         cause = str(error).rstrip(".") or "its index does not fit its content"
-        message = (
-            f"{path} is damaged: {cause}; a repair may help (rosbag reindex for ROS 1, "
-            "ros2 bag reindex for ROS 2, mcap recover for a file alone)"
-        )
+        repair = _REPAIRS.get(kind, "ros2 bag reindex")
+        message = f"{path} is damaged: {cause}; a repair may help ({repair})"
         raise LogReadError(message) from error

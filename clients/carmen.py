@@ -223,8 +223,8 @@ def _nothing_to_read(path: Path, skipped: Counter[str], others: Counter[str]) ->
     if skipped:
         reasons = ", ".join(f"{count} {reason}" for reason, count in skipped.most_common(5))
         return f"none of the FLASER lines of {path} can be read ({reasons})"
+    start = f"{path} has no FLASER lines; expected a CARMEN log (.log or .log.gz) or a ROS bag"
+    if not all(name.isprintable() and "\ufffd" not in name for name in others):
+        return f"{start}, and this is no text at all"
     found = ", ".join(f"{count} {name!r}" for name, count in others.most_common(5))
-    return (
-        f"{path} has no FLASER lines; expected a CARMEN log (.log or .log.gz). "
-        f"Its lines begin with: {found or 'nothing, it is empty'}"
-    )
+    return f"{start}. Its lines begin with: {found or 'nothing, it is empty'}"

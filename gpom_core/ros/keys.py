@@ -106,6 +106,16 @@ def topic_of(transport: Transport, key: str) -> str:
     return "/".join(key.split("/")[1:-2])
 
 
+def old_cache_keys(zid: str, topic: str) -> tuple[str, ...]:
+    """Give the keys by which bridges before the autumn of 2025 ask for what is latched.
+
+    Args:
+        zid: of the session that keeps it; ``*`` for all.
+        topic: of the message, which answers under the key of the topic itself.
+    """
+    return (f"@/{zid}/@ros2_pub_cache/{topic}", f"@ros2_pub_cache/{zid}/{topic}")
+
+
 def presence_selectors(transport: Transport, domain: int, type_name: str) -> tuple[str, ...]:
     """Give the key expressions of the tokens of everyone who publishes messages of a type."""
     if transport == "bridge":

@@ -17,6 +17,7 @@ from gpom_core.ros.keys import (
     TopicPattern,
     Transport,
     data_selector,
+    old_cache_keys,
     presence_selectors,
     topic_of,
     topic_of_presence,
@@ -37,7 +38,6 @@ _REPORT_S = 0.25
 _STATIC_HISTORY = 100  # broadcasters of one robot, each with its last message
 _ASK_S = 5.0
 _UNHEARD_MAX = 100  # topics that are warned of
-_OLD_CACHES = ("@/*/@ros2_pub_cache", "@ros2_pub_cache/*")
 
 
 class RosGateway:
@@ -148,9 +148,9 @@ class RosGateway:
         def on_token(sample: zenoh.Sample) -> None:
             topic = topic_of_presence("bridge", str(sample.key_expr))
             if sample.kind == zenoh.SampleKind.PUT and pattern.match(topic) is not None:
-                for prefix in _OLD_CACHES:
+                for key in old_cache_keys("*", topic):
                     session.get(
-                        f"{prefix}/{topic}",
+                        key,
                         _caught(on_reply),
                         target=zenoh.QueryTarget.ALL,
                         consolidation=zenoh.ConsolidationMode.NONE,

@@ -18,7 +18,7 @@ import zenoh.ext
 from gpom_core.errors import GpomError
 from gpom_core.member import Bounds
 from gpom_core.ros import attachment, cdr
-from gpom_core.ros.keys import NO_HASH, data_key, node_token, publisher_token
+from gpom_core.ros.keys import NO_HASH, data_key, node_token, old_cache_keys, publisher_token
 from gpom_core.ros.messages import write_grid, write_grid_update
 from gpom_core.snapshot import Snapshot
 from service.clock import Clock, SystemClock
@@ -48,6 +48,14 @@ class _Topic:
         self._publishers = [
             _publisher(session, key, latched=latched) for key in _keys(settings, topic, type_name)
         ]
+        self._topic = topic
+        self._last: bytes | None = None
+        self._caches = []
+        if latched and "bridge" in settings.transports:
+            self._caches = [
+                session.declare_queryable(key, self._answer_older_bridge)
+                for key in old_cache_keys(str(session.zid()), topic)
+            ]
         self._tokens = []
         if "rmw_zenoh" in settings.transports:
             token = publisher_token(
@@ -63,10 +71,17 @@ class _Topic:
 
     def send(self, payload: bytes, at_ns: int) -> None:
         """Publish a message."""
+        self._last = payload if self._caches else None
         self._sequence += 1
         beside = attachment.write(attachment.Attachment(self._sequence, at_ns, self._gid))
         for publisher in self._publishers:
             publisher.put(payload, encoding=_CDR, attachment=beside)
+
+    def _answer_older_bridge(self, query: zenoh.Query) -> None:
+        """Give the last message to a bridge that knows no advanced publisher."""
+        with query:
+            if self._last is not None:
+                query.reply(self._topic, self._last, encoding=_CDR)
 
 
 @dataclass(slots=True)

@@ -149,6 +149,9 @@ def test_says_what_it_found_instead_of_scans(tmp_path):
         CarmenLog(tmp_path / "empty.log")
     with pytest.raises(LogReadError, match=r"none of the FLASER lines.*truncated"):
         CarmenLog(write(tmp_path / "b.log", "FLASER 3 1 2\n"))
+    (tmp_path / "c.npz").write_bytes(b"PK\x03\x04\x00\xff\xfe\n\x00\x01 2\n")
+    with pytest.raises(LogReadError, match="or a ROS bag, and this is no text at all"):
+        CarmenLog(tmp_path / "c.npz")
 
 
 def test_damaged_gzip_is_a_clear_error(tmp_path):

@@ -3,6 +3,7 @@
 import json
 import threading
 import time
+from contextlib import ExitStack
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -105,6 +106,45 @@ def test_the_doctor_says_what_is_missing(router) -> None:
     assert "r1/scan (rmw_zenoh): 0 scans" in result.stdout
     assert "! it is announced, but no scan came" in result.stdout
     assert "1 thing to look at" in str(result.exception)
+
+
+def test_the_doctor_finds_every_fault_of_a_sick_fleet(router) -> None:
+    stop = threading.Event()
+    names = ("lost", "mistaken", "slow", "holey", "late")
+    with ExitStack() as held:
+        fleet = {name: held.enter_context(talker(router, "rmw_zenoh")) for name in names}
+
+        def talk() -> None:
+            for number in range(10_000):
+                now_ns = time.time_ns()
+                for name, robot in fleet.items():
+                    if name != "lost":
+                        robot.say(f"{name}/tf", tf(("map", "laser", (0, 0, 0), now_ns)))
+                    if name == "holey" and number % 4 == 0:
+                        robot.skip(f"{name}/scan")
+                    elif name != "slow" or number % 30 == 0:
+                        frame = "lasr" if name == "mistaken" else "laser"
+                        stamp_ns = now_ns - (3 * S if name == "late" else 0)
+                        robot.say(f"{name}/scan", laser_scan(stamp_ns, frame))
+                if stop.wait(0.05):
+                    return
+
+        thread = threading.Thread(target=talk)
+        thread.start()
+        result = run("doctor", "--seconds", "4", "--json", "--connect", router)
+        stop.set()
+        thread.join()
+    found = {
+        stream["topic"]: " ".join(stream["problems"])
+        for stream in json.loads(result.stdout)["streams"]
+    }
+    assert "no transforms at all" in found["lost/scan"]
+    assert "no frame is called lasr" in found["mistaken/scan"]
+    assert "scans come only 0." in found["slow/scan"]
+    assert "are lost on the way" in found["holey/scan"]
+    assert "3.0 s behind the clock" in found["late/scan"]
+    assert "synchronise the clocks" in found["late/scan"]
+    assert result.exit_code == 1
 
 
 def test_the_doctor_of_nobody(router) -> None:

@@ -22,7 +22,7 @@ NAMES = ("robot1", "robot2", "robot3")
 SCANS = 12
 GRID = "nav_msgs/msg/OccupancyGrid"
 RESOLUTION_M = 0.1
-BOX = (-4.0, -4.0, 4.0, 4.0)
+PLACES = np.stack(np.meshgrid(*2 * [np.arange(-4.0, 4.0, 0.1)]), axis=-1).reshape(-1, 2)
 CONFIG = """map: {max_observations: 2000} # where experts are split depends on when they are trained
 
 ros:
@@ -121,13 +121,15 @@ def test_three_ros_robots_make_the_same_map_and_get_it_back(tmp_path) -> None:
         with running(tmp_path) as (client, endpoint):
             way(client, endpoint)
             client.flush()
-            maps[way] = client.grid(BOX, RESOLUTION_M)
+            maps[way] = client.query(PLACES)
             if way is by_ros:
                 _read_back(client, endpoint)
-    difference = np.abs(maps[by_ros] - maps[by_gpom])
-    # When experts are trained, and with that the calibration, differs from run to run.
-    assert difference.max() < 0.03
-    assert difference.mean() < 1e-3
+    one, other = maps[by_gpom], maps[by_ros]
+    # The calibration of probabilities depends on when it was fitted, from run to run; nothing else.
+    assert np.array_equal(one.known, other.known)
+    assert other.mean == pytest.approx(one.mean, abs=1e-9)
+    assert other.variance == pytest.approx(one.variance, abs=1e-9)
+    assert np.abs(one.mean).max() > 0.9
 
 
 def _read_back(client, endpoint) -> None:

@@ -14,13 +14,20 @@ from tests.service.fleet_link import open_session
 class Talker:
     """Publishes on topics of one robot."""
 
-    def __init__(self, session: zenoh.Session, transport: str, *, humble: bool = False) -> None:
+    def __init__(
+        self, session: zenoh.Session, transport: str, *, humble: bool = False, domain: int = 0
+    ) -> None:
         self.session = session
         self.transport = transport
         self.humble = humble
+        self.domain = domain
         self._publishers = {}
         self._sequence = {}
         self.tokens = []
+
+    def skip(self, topic: str) -> None:
+        """Lose a message on the way."""
+        self._sequence[topic] = self._sequence.get(topic, 0) + 1
 
     def say(self, topic: str, message, stamp_ns: int = 0) -> None:
         if topic not in self._publishers:
@@ -39,7 +46,7 @@ class Talker:
         else:
             name = topic.replace("/", "%")
             what = f"%{name}/{_dds(kind)}/{self._hash(kind)}"
-            key = f"@ros2_lv/0/{zid}/0/9/MP/%/%/lidar/{what}/::,:,:,:,,"
+            key = f"@ros2_lv/{self.domain}/{zid}/0/9/MP/%/%/lidar/{what}/::,:,:,:,,"
         self.tokens.append(self.session.liveliness().declare_token(key))
 
     def vanish(self) -> None:
@@ -50,7 +57,7 @@ class Talker:
     def _declare(self, topic: str, kind: str):
         key = topic
         if self.transport == "rmw_zenoh":
-            key = f"0/{topic}/{_dds(kind)}/{self._hash(kind)}"
+            key = f"{self.domain}/{topic}/{_dds(kind)}/{self._hash(kind)}"
         if not topic.endswith("tf_static"):
             return self.session.declare_publisher(key)
         return zenoh.ext.declare_advanced_publisher(
@@ -73,6 +80,6 @@ def _dds(kind: str) -> str:
 
 
 @contextmanager
-def talker(endpoint: str, transport: str, *, humble: bool = False) -> Iterator[Talker]:
+def talker(endpoint: str, transport: str, **kinds) -> Iterator[Talker]:
     with open_session(connect=endpoint) as session:
-        yield Talker(session, transport, humble=humble)
+        yield Talker(session, transport, **kinds)

@@ -76,6 +76,32 @@ def test_scans_and_transforms_of_both_transports_arrive(sink, opened, transport,
         wait_until(lambda: "r1" in sink.intake, 5.0)
 
 
+def test_a_domain_hears_its_own_robots_only(sink, opened) -> None:
+    endpoint = opened(domain=42)
+    with (
+        talker(endpoint, "rmw_zenoh", domain=42) as ours,
+        talker(endpoint, "rmw_zenoh", domain=0) as theirs,
+    ):
+        for name, robot in (("theirs", theirs), ("ours", ours)):
+            robot.appear(f"{name}/scan", types.LASER_SCAN)
+            robot.say(f"{name}/tf_static", tf(("map", "laser", (0, 0, 0), 0)))
+            robot.say(f"{name}/scan", laser_scan(S))
+        wait_until(lambda: len(sink.scans) == 1, 10.0)
+        time.sleep(0.2)
+    assert [robot for robot, _, _ in sink.scans] == ["ours"]
+    assert {robot for robot, _ in sink.presence} == {"ours"}
+
+
+def test_several_lasers_of_one_robot_are_told_apart(sink, opened) -> None:
+    with talker(opened(scan_topics=("{robot}/{sensor}/scan",)), "rmw_zenoh") as robot:
+        for sensor, x in (("front", 0.5), ("rear", -0.5)):
+            robot.say("r1/tf_static", tf(("map", f"{sensor}_laser", (x, 0, 0), 0)))
+            robot.say(f"r1/{sensor}/scan", laser_scan(S, f"{sensor}_laser"))
+        wait_until(lambda: len(sink.scans) == 2, 10.0)
+    found = {(name, sensor): scan.pose.x_m for name, sensor, scan in sink.scans}
+    assert found == {("r1", "front"): 0.5, ("r1", "rear"): -0.5}
+
+
 @pytest.mark.parametrize("transport", BOTH)
 def test_who_comes_late_still_gets_fixed_transforms(sink, opened, transport) -> None:
     """The robot has said them before the service was there, and will not again."""

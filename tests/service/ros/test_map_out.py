@@ -132,6 +132,24 @@ def test_a_bridge_with_a_namespace_gets_it_under_its_own_name(service, source, p
         assert np.array_equal(viewers[0].cells, viewers[1].cells)
 
 
+@pytest.mark.parametrize("selector", ["@/*/@ros2_pub_cache/map", "@ros2_pub_cache/*/map"])
+def test_older_bridges_get_what_is_latched_when_they_ask(
+    service, source, published, selector
+) -> None:
+    grow(service, source, "r1", (-1.0, 0.0))
+    endpoint = published()
+    with open_session(connect=endpoint) as session:
+        viewer = Viewer(session, "map")
+        wait_until(lambda: viewer.cells is not None, 10.0)
+        replies = session.get(
+            selector, target=zenoh.QueryTarget.ALL, accept_replies=zenoh.ReplyKeyExpr.ANY
+        )
+        (sample,) = [reply.ok for reply in replies]
+        assert str(sample.key_expr) == "map"
+        grid = STORE.deserialize_cdr(sample.payload.to_bytes(), cdr.OCCUPANCY_GRID)
+        assert np.array_equal(grid.data.reshape(viewer.cells.shape), viewer.cells)
+
+
 def test_a_map_that_is_too_large_is_not_published(service, source, published, caplog) -> None:
     endpoint = published(cells_max=100)
     with open_session(connect=endpoint) as session:
