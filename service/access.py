@@ -14,8 +14,15 @@ def check_exposure(settings: Settings) -> None:
     """Refuse addresses that others can reach when nothing asks them who they are.
 
     Raises:
-        ConfigurationError: says which address, and what to set.
+        ConfigurationError: says which address, and what to set; or that rules for robots shut out
+            those of ROS.
     """
+    if settings.zenoh.robots and settings.ros.transports:
+        message = (
+            "zenoh.robots lets robots use the keys of gpom alone, so nothing that ROS says would "
+            "be heard. Leave it empty, and let a router of the site say who may speak there"
+        )
+        raise ConfigurationError(message)
     if settings.access.insecure:
         return
     if not is_loopback(settings.http.host) and not settings.access.has_tokens:

@@ -139,6 +139,12 @@ def session(endpoint: str, user: str, password: str) -> zenoh.Session:
     return zenoh.open(config)
 
 
+def test_rules_for_robots_do_not_silently_shut_out_those_of_ros() -> None:
+    settings = Settings(zenoh={"robots": ("r1",)}, ros={"transports": ("rmw_zenoh",)})
+    with pytest.raises(ConfigurationError, match="nothing that ROS says would be heard"):
+        check_exposure(settings)
+
+
 @pytest.fixture
 def site(tmp_path):
     """A service that knows robots a and b."""
