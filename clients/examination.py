@@ -174,7 +174,7 @@ class Examination:
         return replace(
             report,
             problems=(*broken, *reasons, *_general_problems(report)),
-            notes=tuple(_notes(report)),
+            notes=tuple(_notes(report, len(stream.numbers))),
         )
 
     def _place(self, way: Way, topic: str, stream: _Stream) -> tuple[float, list[str]]:
@@ -214,7 +214,12 @@ def _general_problems(report: StreamReport) -> list[str]:
     return problems
 
 
-def _notes(report: StreamReport) -> Iterator[str]:
+def _notes(report: StreamReport, publishers: int) -> Iterator[str]:
+    if report.way != "gpom" and publishers > 1:
+        yield (
+            f"{publishers} nodes publish on this topic; when they are two robots, each wants a "
+            "namespace"
+        )
     if abs(report.age_s) > _DAY_S:
         yield (
             "scans have simulation time (use_sim_time) or no stamp; fine where transforms have "

@@ -241,6 +241,10 @@ class MapService:
             new = count - (0 if before is None else before.dropped.get(reason, 0))
             self.metrics.scans_refused.labels(reason).inc(max(new, 0))
 
+    def on_refused(self, reason: str, count: int) -> None:
+        """Count scans of robots that are not even remembered."""
+        self.metrics.scans_refused.labels(reason).inc(count)
+
     def on_query(self, query: RemoteQuery) -> None:
         """Answer a question that came by the source, from the pool for heavy queries."""
         try:

@@ -61,6 +61,9 @@ class SourceSink(Protocol):
     def on_intake(self, robot: str, status: IntakeStatus) -> None:
         """Scans that come without a pose fare so, before they arrive as scans."""
 
+    def on_refused(self, reason: str, count: int) -> None:
+        """So many scans were refused before they arrived as scans, of robots without a status."""
+
     def cursor(self, robot: str, sensor: str) -> Cursor | None:
         """Give the last stored scan of a sensor; None if there is none."""
         ...

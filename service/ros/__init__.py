@@ -6,6 +6,8 @@
     robots and their frames: whose message it is, where its sensor was, what became of it.
 ``stream``
     the scans of one sensor, numbered, waiting for their transforms.
+``troubles``
+    what is wrong with a robot now, and since when.
 ``map_out``
     the map as an occupancy grid that is kept up to date.
 ``raster``

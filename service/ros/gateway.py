@@ -234,6 +234,7 @@ class _Loop:
         self._sink = sink
         self._clock = clock
         self._told: dict[str, IntakeStatus] = {}
+        self._strangers = 0
         self._tick_s = self._report_s = 0.0
 
     def __call__(self) -> bool:
@@ -258,6 +259,12 @@ class _Loop:
             if self._told.get(robot) != status:
                 self._sink.on_intake(robot, status)
         self._told = report
+        strangers, self._strangers = (
+            self._intake.strangers - self._strangers,
+            self._intake.strangers,
+        )
+        if strangers:
+            self._sink.on_refused("too_many_robots", strangers)
 
 
 def _caught(callback: Callable[[_T], None]) -> Callable[[_T], None]:

@@ -30,6 +30,7 @@ Deliver = Callable[[str, str, bytes], None]
 
 _UNKNOWN = (0.0,) * 6
 _DEFAULT_SENSOR = "scan"
+_SENSORS_MAX = 64  # of one robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,6 +161,9 @@ class Intake:
         sensor = message.origin.sensor or _DEFAULT_SENSOR
         stream = state.streams.get(sensor)
         if stream is None:
+            if len(state.streams) >= _SENSORS_MAX:
+                message = f"{sensor} is one sensor too many; at most {_SENSORS_MAX} are followed"
+                raise RosMessageError("too_many_sensors", message)
             stream = state.streams[sensor] = SensorStream(self._placing, state.tree, state.tally)
         stream.add(sweep, origin, self._clock.monotonic_s(), unix_s)
 

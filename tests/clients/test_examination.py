@@ -112,6 +112,16 @@ def test_namespaces_may_be_deep_and_complete_each_other() -> None:
     assert 'perhaps by ros.scan_topics: ["fleet/{robot}/{sensor}/scan"]' in one.notes[0]
 
 
+def test_two_robots_under_one_name_are_told() -> None:
+    message = laser_scan(START_NS)
+    scans = [
+        Heard("rmw_zenoh", "scan", message.__msgtype__, cdr(message), START_NS, beside)
+        for beside in (write(Attachment(1, START_NS, name * 16)) for name in (b"a", b"b"))
+    ]
+    (report,) = examined(*scans)
+    assert "2 nodes publish on this topic; when they are two robots" in report.notes[0]
+
+
 def test_topics_of_the_default_pattern_need_no_note() -> None:
     (report,) = examined(*drive())
     assert report.notes == ()

@@ -27,6 +27,10 @@ class Sink:
         self.scans = []
         self.presence = []
         self.intake = {}
+        self.refused = []
+
+    def on_refused(self, reason, count) -> None:
+        self.refused.append((reason, count))
 
     def on_scan(self, robot, sensor, payload) -> None:
         self.scans.append((robot, sensor, wire.decode(payload)))
@@ -141,23 +145,26 @@ def test_older_bridges_are_asked_for_what_they_keep(sink, opened, cache) -> None
         queryable.undeclare()
 
 
+def on_a_router_of_its_own(held, connect=None) -> tuple[Talker, str]:
+    """A node as rmw_zenoh has it: a peer, whose router passes nothing from peer to peer."""
+    router = held.enter_context(open_session(connect=connect, mode="router", gossip=True))
+    there = locator(router, "router")
+    node = held.enter_context(open_session(connect=there, mode="peer", gossip=True))
+    return Talker(node, "rmw_zenoh"), there
+
+
 @pytest.mark.parametrize("service_connects", [True, False])
 def test_nodes_on_their_own_router_are_heard(sink, opened, service_connects) -> None:
-    """As rmw_zenoh has it: nodes are peers, and their router passes nothing from peer to peer."""
     with ExitStack() as held:
         if service_connects:
-            router = held.enter_context(open_session(mode="router", gossip=True))
-            opened(zenoh=ZenohSettings(listen=(), connect=(locator(router, "router"),)))
+            node, there = on_a_router_of_its_own(held)
         else:
-            endpoint = opened()
-            router = held.enter_context(open_session(connect=endpoint, mode="router", gossip=True))
-        there = locator(router, "router")
-        node = Talker(
-            held.enter_context(open_session(connect=there, mode="peer", gossip=True)), "rmw_zenoh"
-        )
+            node, _ = on_a_router_of_its_own(held, opened())
+        node.say("r1/tf_static", tf(("map", "laser", (0.5, 0, 0), 0)))
+        if service_connects:  # late, so that only the node's cache has the fixed transform
+            opened(zenoh=ZenohSettings(listen=(), connect=(there,)))
         node.appear("r1/scan", types.LASER_SCAN)
         wait_until(lambda: sink.presence == [("r1", True)], 10.0)
-        node.say("r1/tf_static", tf(("map", "laser", (0.5, 0, 0), 0)))
         node.say("r1/scan", laser_scan(S))
         wait_until(lambda: len(sink.scans) == 1, 10.0)
 
@@ -195,6 +202,14 @@ def test_a_hostile_robot_is_counted_and_does_no_harm(sink, opened) -> None:
         wait_until(lambda: len(sink.scans) == 1, 10.0)
         wait_until(lambda: sink.intake.get("evil") is not None, 5.0)
         wait_until(lambda: sink.intake["evil"].dropped == {"bad_cdr": 2}, 5.0)
+
+
+def test_scans_of_robots_that_have_no_room_are_counted(sink, opened) -> None:
+    with talker(opened(), "rmw_zenoh") as robot:
+        for number in range(12):
+            robot.say(f"r{number}/scan", laser_scan(S))
+        wait_until(lambda: sum(count for _, count in sink.refused) == 2, 10.0)
+    assert {reason for reason, _ in sink.refused} == {"too_many_robots"}
 
 
 def test_nothing_is_heard_when_it_is_off(sink, opened) -> None:

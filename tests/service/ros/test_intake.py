@@ -199,6 +199,13 @@ def test_so_many_robots_and_no_more() -> None:
     assert rig.intake.strangers == 2
 
 
+def test_so_many_sensors_and_no_more() -> None:
+    rig = Rig()
+    for number in range(66):
+        rig.scan(S, Origin("r1", f"s{number}"), gid=bytes([number]) * 16)
+    assert rig.status().dropped == {"too_many_sensors": 2}
+
+
 def test_poses_from_odometry() -> None:
     rig = Rig(pose_from="odometry")
     rig.mount()
