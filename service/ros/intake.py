@@ -162,8 +162,8 @@ class Intake:
         stream = state.streams.get(sensor)
         if stream is None:
             if len(state.streams) >= _SENSORS_MAX:
-                message = f"{sensor} is one sensor too many; at most {_SENSORS_MAX} are followed"
-                raise RosMessageError("too_many_sensors", message)
+                words = f"{sensor} is one sensor too many; at most {_SENSORS_MAX} are followed"
+                raise RosMessageError("too_many_sensors", words)
             stream = state.streams[sensor] = SensorStream(self._placing, state.tree, state.tally)
         stream.add(sweep, origin, self._clock.monotonic_s(), unix_s)
 
