@@ -17,7 +17,7 @@ from clients.log_reader import LogSummary, NoReturns, ReadOptions
 from gpom_core.errors import InvalidScanError, InvalidTransformError, UnknownPoseError
 from gpom_core.frames import FrameTree
 from gpom_core.ros import cdr
-from gpom_core.ros.messages import sweep_of, transforms_of
+from gpom_core.ros.messages import frame_name, sweep_of, transforms_of
 from gpom_core.scan import Scan
 from gpom_core.sweep import Sweep, to_scan, to_still_scan
 
@@ -183,10 +183,11 @@ def _choose_map(path: Path, tree: FrameTree, frame: str, wanted: str | None) -> 
     parents = tree.frames()
     known = {*parents, *parents.values()}
     if wanted is not None:
-        if wanted not in known:
-            message = f"{path} has no frame {wanted}; it has: {', '.join(sorted(known))}"
+        name = frame_name(wanted)
+        if name not in known:
+            message = f"{path} has no frame {name}; it has: {', '.join(sorted(known))}"
             raise LogReadError(message)
-        return wanted
+        return name
     if frame not in known:
         message = (
             f"{path} has scans in the frame {frame}, which no transform leads to; its frames are: "

@@ -16,6 +16,7 @@ from clients.link import SessionSettings, open_session
 from clients.listener import Listener, ListenerSettings, named
 from clients.options import DEFAULT_ENDPOINTS, DEFAULT_PREFIX, Connect, Domain, Prefix, Transports
 from gpom_core.ros.keys import Transport
+from gpom_core.ros.messages import frame_name
 
 _ASK_S = 2.0
 
@@ -38,7 +39,7 @@ def doctor(
     their transforms place them in the map. Ends with 1 when something is wrong.
     """
     ways = named(transport)
-    examination = Examination(map_frame, pose_from)
+    examination = Examination(frame_name(map_frame), pose_from)
     with ExitStack() as stack:
         stop = stack.enter_context(stop_on_signal())
         session = stack.enter_context(open_session(SessionSettings(connect)))

@@ -14,6 +14,7 @@ from service.ros.troubles import Troubles
 _PATIENCE_S = 0.5  # transforms come a little after the scans; that alone is no problem
 _SET_BACK_NS = round(SET_BACK_S * 1e9)
 _PUBLISHERS_MAX = 16  # of one sensor, remembered
+_FRAMES_MAX = 16  # likewise
 _GAP_MAX = 1_000_000  # who jumps by more has begun to count anew
 
 
@@ -90,7 +91,7 @@ class SensorStream:
         self._seq = 0
         self._dropped_here = 0
         self._held_up = 0  # of those that wait, so many were here when the first had to
-        self._last_stamp_ns: int | None = None
+        self._stamps_ns: dict[str, int] = {}  # last one of each frame: lasers may share a topic
 
     def __len__(self) -> int:
         """Sweeps that wait."""
@@ -106,9 +107,11 @@ class SensorStream:
             self._boot = max(round(unix_s * 1e9), self._boot + 1)
             self._seq = self._dropped_here = 0
         self._seq += step or 1
-        last_ns, self._last_stamp_ns = self._last_stamp_ns, sweep.stamp_ns
-        if last_ns is not None and last_ns - sweep.stamp_ns > _SET_BACK_NS:
+        if self._stamps_ns.pop(sweep.frame, sweep.stamp_ns) - sweep.stamp_ns > _SET_BACK_NS:
             self._tree.set_back(sweep.frame, sweep.stamp_ns)
+        self._stamps_ns[sweep.frame] = sweep.stamp_ns
+        if len(self._stamps_ns) > _FRAMES_MAX:
+            self._stamps_ns.pop(next(iter(self._stamps_ns)))
         if len(self._waiting) >= self._placing.waiting_max:
             self._drop("waiting_full", "too many scans wait for their transforms", unix_s)
         self._waiting.append(_Waiting(sweep, self._boot, self._seq, now_s))

@@ -86,7 +86,8 @@ def test_without_a_map_frame_the_root_is_the_map(tmp_path) -> None:
     path = write_bag(tmp_path / "bag", messages)
     log = open_log(path)
     assert "no frame is called map; odom may drift" in log.describe().notes
-    assert open_log(path, ReadOptions(map_frame="laser")).scans[0].pose.x_m == 0.0
+    for name in ("laser", "/laser"):
+        assert open_log(path, ReadOptions(map_frame=name)).scans[0].pose.x_m == 0.0
     with pytest.raises(LogReadError, match="no frame site; it has: laser, odom"):
         open_log(path, ReadOptions(map_frame="site"))
 

@@ -393,6 +393,18 @@ def test_a_simulation_that_begins_anew_is_not_placed_by_its_last_run(first) -> N
     assert [scan.pose.x_m for scan in rig.decoded()] == pytest.approx([20.5, 100.5])
 
 
+def test_a_laser_whose_clock_is_off_does_not_spoil_another_on_its_topic() -> None:
+    rig = Rig()
+    rig.mount()
+    rig.say("tf_static", tf(("base", "rear", (-0.5, 0, 0), 0)))
+    rig.drive(0, 20)
+    for second in range(10, 20):
+        rig.scan(second * S, gid=b"f" * 16, number=second)
+        rig.say("scan", laser_scan((second - 8) * S, "rear", **WHOLE))
+    assert len(rig.scans) == 20
+    assert not rig.status().dropped
+
+
 def test_simulation_time_here_and_real_time_there_is_called_by_its_name() -> None:
     rig = Rig()
     rig.mount()
