@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gpom_core.member import Bounds
 from gpom_core.snapshot import Prediction, Snapshot, grid_shape
 
-PIECE_POINTS = 4096
+PIECE_POINTS = 32_768
 
 Check = Callable[[], None]
 """Called before each piece; raises to give up."""

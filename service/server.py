@@ -17,13 +17,11 @@ from service.access import check_exposure
 from service.errors import SourceError
 from service.http.app import create_app
 from service.map_service import MapService
+from service.priority import share_interpreter
 from service.settings import HttpSettings, Settings
 
 logger = logging.getLogger(__name__)
 
-# Threads that come back from compiled code wait this long for one that is in Python: with the
-# interpreter's 5 ms, scans and single points would wait for training again and again.
-_SWITCH_S = 5e-4
 _GRACE_S = 2  # for answers under way when the end comes
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -40,7 +38,7 @@ def run(settings: Settings, announce: Callable[[str], None]) -> None:
         SourceError: an address is taken or cannot be listened on; nothing is left running.
     """
     check_exposure(settings)
-    sys.setswitchinterval(_SWITCH_S)
+    share_interpreter()
     listener = _listen(settings.http)
     with listener:
         asyncio.run(_serve(settings, listener, announce))

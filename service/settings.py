@@ -25,8 +25,9 @@ from service.ros_settings import RosSettings
 QueuePolicy = Literal["block", "drop_oldest", "drop_newest"]
 
 
-def _cores() -> int:
-    return os.cpu_count() or 1
+def _spare_cores() -> int:
+    """One core is left for scans and answers."""
+    return max(1, (os.cpu_count() or 1) - 1)
 
 
 def _split(value: Any) -> Any:
@@ -166,7 +167,9 @@ class JournalSettings(_Section):
 class TrainingSettings(_Section):
     """How experts are kept up to date."""
 
-    workers: int = Field(default_factory=_cores, ge=1, description="threads; default: one a core")
+    workers: int = Field(
+        default_factory=_spare_cores, ge=1, description="threads; default: all cores but one"
+    )
     swap_interval_s: float = Field(
         0.1, gt=0.0, le=10.0, description="under load, answers see new experts this often"
     )

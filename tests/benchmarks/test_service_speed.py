@@ -40,9 +40,47 @@ class Site:
     zenoh: str
     pid: int
 
+    def seconds(self) -> float:
+        return processor_seconds(self.pid)
+
     def memory_mb(self) -> float:
         status = Path(f"/proc/{self.pid}/status").read_text()
         return int(re.search(r"VmRSS:\s+(\d+)", status).group(1)) / 1024.0  # type: ignore[union-attr]
+
+
+def processor_seconds(pid: int) -> float:
+    """That a process and its threads have used."""
+    after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(after_name[11]) + int(after_name[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def busy_seconds() -> float:
+    """That all processors of the machine were not idle."""
+    values = [int(v) for v in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
+    return (sum(values) - values[3] - values[4]) / os.sysconf("SC_CLK_TCK")
+
+
+class Meter:
+    """Cores that the service, its robots, the one that asks and strangers keep busy."""
+
+    def __init__(self, site: Site, robots: int) -> None:
+        self._read = lambda: (
+            site.seconds(), processor_seconds(robots), time.process_time(), busy_seconds()
+        )  # fmt: skip
+        self._start_s, self._before = time.monotonic(), self._read()
+
+    def figures(self) -> Figures:
+        elapsed_s = time.monotonic() - self._start_s
+        service, robots, asker, all_ = (
+            (now - before) / elapsed_s
+            for now, before in zip(self._read(), self._before, strict=True)
+        )
+        return {
+            "service_cores": rounded(service),
+            "robots_cores": rounded(robots),
+            "asker_cores": rounded(asker),
+            "strangers_cores": rounded(all_ - service - robots - asker),
+        }
 
 
 def gpom(*arguments: str) -> tuple[str, ...]:
@@ -108,7 +146,7 @@ def test_a_fleet_and_its_questions(site: Site) -> None:
         while len(client.get("/v1/status").json()["robots"]) < ROBOTS:
             time.sleep(0.2)
         time.sleep(SETTLE_S)
-        end_s, number = time.monotonic() + LOAD_S, 0
+        end_s, number, meter = time.monotonic() + LOAD_S, 0, Meter(site, robots.pid)
         while time.monotonic() < end_s:
             for x in np.linspace(1.0, 25.0, 10):
                 where = {"x": str(x), "y": "8.0"}
@@ -120,6 +158,7 @@ def test_a_fleet_and_its_questions(site: Site) -> None:
             memory.append(site.memory_mb())
             number += 1
             time.sleep(PROBE_EVERY_S)
+        cores = meter.figures()
         robots.wait(120.0)
         status = client.get("/v1/status").json()
         client.post("/v1/flush", json={"timeout_s": 60.0}).raise_for_status()
@@ -141,7 +180,8 @@ def test_a_fleet_and_its_questions(site: Site) -> None:
         "backlog_max": float(max(backlog)),
         "memory_first_mb": rounded(memory[0]),
         "memory_last_mb": rounded(memory[-1]),
-        **percentiles("one_point_under_load_ms", one, 50, 99),
+        **cores,
+        **percentiles("one_point_under_load_ms", one, 50, 95, 99),
         **percentiles("freshness_ms", fresh, 50, 95),
         **percentiles("grid_256_under_load_ms", grids, 50, 95),
         **percentiles("one_point_idle_ms", idle_one, 50, 99),
