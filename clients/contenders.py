@@ -77,6 +77,7 @@ def gpom_map(
         "experts": mapper.expert_count,
         "observations": mapper.observation_count,
         "trained_observations": sum(len(m.expert.observations) for m in snapshot.members.values()),
+        "memory_bytes": sum(member.size_bytes for member in snapshot.members.values()),
         "slope": snapshot.calibration.slope,
     }
     entered = [Contender(f"gpom {name}", _ask(snapshot, name), facts) for name in fusions]
@@ -151,10 +152,25 @@ def chosen_grids(training: Sequence[Scan]) -> list[Contender]:
     ]
 
 
+def log_odds_grids(training: Sequence[Scan]) -> list[Contender]:
+    """Enter the log-odds grid once for each size of cells."""
+    contenders = []
+    for resolution_m in RESOLUTIONS_M:
+        grid = LogOddsGrid(resolution_m)
+        facts = {"build_s": _fill(grid, training)}
+        contenders.append(_entered(f"log-odds grid {resolution_m * 100:g} cm", grid, facts))
+    return contenders
+
+
 def _entered(
     name: str, grid: CountingGrid | LogOddsGrid, facts: Mapping[str, object] | None = None
 ) -> Contender:
-    about = {"resolution_m": grid.resolution_m, **asdict(grid.model), **(facts or {})}
+    about = {
+        "resolution_m": grid.resolution_m,
+        **asdict(grid.model),
+        "memory_bytes": grid.size_bytes,
+        **(facts or {}),
+    }
     return Contender(name, grid.occupancy, about)
 
 

@@ -181,6 +181,11 @@ class OccupancyGrid(ABC):
         )
         self._absorb(raster.values.reshape(len(raster.values), -1), hits, misses)
 
+    @property
+    def size_bytes(self) -> int:
+        """Memory of the numbers in all cells, touched or not."""
+        return self._raster.values.nbytes
+
     def seen_cells(self) -> Floats:
         """(M, 2) centres of all cells that any beam touched, metres."""
         rows, cols = np.nonzero(self._raster.stamp)

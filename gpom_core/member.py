@@ -64,6 +64,13 @@ class Member:
         object.__setattr__(self, "scales", np.array([1.0 / h.length_scale_m, h.signal_std**2]))
         object.__setattr__(self, "sectors", frozenset(np.unique(sector_key(x, y)).tolist()))
 
+    @property
+    def size_bytes(self) -> int:
+        """Memory of all that queries read."""
+        o, e = self.expert.observations, self.expert
+        arrays = (o.kinds, o.geometry, e.weights, e.precision, *self.sides, *self.reach)
+        return sum(array.nbytes for array in arrays)
+
     def __reduce__(self) -> tuple[type[Member], tuple[object, ...]]:
         # Addresses do not survive a journey to another process.
         return type(self), (

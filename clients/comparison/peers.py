@@ -1,5 +1,6 @@
-"""Maps that others wrote, from packages that may be missing: OctoMap and scikit-learn's."""
+"""Maps that others wrote, from packages that may be missing."""
 
+import pickle
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
 from time import perf_counter
@@ -16,6 +17,12 @@ GP_POINTS = 300
 HILBERT_POINTS = 10_000
 HILBERT_FEATURES = 500
 HILBERT_LENGTHS_M = (0.5, 1.0)
+SPARSE_POINTS = 20_000
+SPARSE_INDUCING = 512
+SPARSE_STEPS = 400
+_SPARSE_BATCH = 1024
+_SPARSE_RATE = 0.02
+_SPARSE_LENGTH_M = 0.5  # to begin with
 _SEED = 3
 _BATCH = 4096
 
@@ -46,7 +53,11 @@ def octomap_map(training: Sequence[Scan], resolution_m: float) -> Contender:
                 continue
         return occupancy, known
 
-    facts = {"resolution_m": resolution_m, "build_s": round(perf_counter() - started, 4)}
+    facts = {
+        "resolution_m": resolution_m,
+        "build_s": round(perf_counter() - started, 4),
+        "memory_bytes": tree.memoryUsage(),
+    }
     return Contender("OctoMap", predict, facts)
 
 
@@ -67,8 +78,68 @@ def gp_classifier(training: Sequence[Scan], _resolution_m: float) -> Contender:
     with catch_warnings():
         simplefilter("ignore", ConvergenceWarning)  # a bound that is reached is an answer, too
         model.fit(points.points, points.occupied)
-    facts = {"points_used": len(points), "build_s": round(perf_counter() - started, 4)}
+    facts = {
+        "points_used": len(points),
+        "build_s": round(perf_counter() - started, 4),
+        "memory_bytes": len(pickle.dumps(model)),
+    }
     return Contender("GP classifier", _asking(model), facts)
+
+
+def sparse_gp(training: Sequence[Scan], _resolution_m: float) -> Contender:
+    """GPyTorch's sparse variational GP classifier (Hensman et al. 2015), all of it learned.
+
+    One process for the whole building, its inducing points free to move, by Adam on random batches
+    of points drawn as for the other classifiers.
+    """
+    import gpytorch
+    import torch
+
+    class Process(gpytorch.models.ApproximateGP):  # type: ignore[misc]
+        def __init__(self, inducing: torch.Tensor) -> None:
+            weights = gpytorch.variational.CholeskyVariationalDistribution(len(inducing))
+            super().__init__(gpytorch.variational.VariationalStrategy(self, inducing, weights))
+            self.mean = gpytorch.means.ConstantMean()
+            self.kernel = gpytorch.kernels.ScaleKernel(gpytorch.kernels.RBFKernel())
+            self.kernel.base_kernel.lengthscale = _SPARSE_LENGTH_M
+
+        def forward(self, x: torch.Tensor) -> object:
+            return gpytorch.distributions.MultivariateNormal(self.mean(x), self.kernel(x))
+
+    points = labelled_points(training, _SEED, SPARSE_POINTS)
+    torch.manual_seed(_SEED)
+    torch.set_num_threads(1)  # as everybody here
+    started = perf_counter()
+    x = torch.as_tensor(points.points, dtype=torch.float32)
+    y = torch.as_tensor(points.occupied, dtype=torch.float32)
+    process = Process(x[torch.randperm(len(x))[:SPARSE_INDUCING]].clone())
+    likelihood = gpytorch.likelihoods.BernoulliLikelihood()
+    bound = gpytorch.mlls.VariationalELBO(likelihood, process, num_data=len(x))
+    steps = torch.optim.Adam(process.parameters(), lr=_SPARSE_RATE)
+    for _ in range(SPARSE_STEPS):
+        some = torch.randint(len(x), (_SPARSE_BATCH,))
+        steps.zero_grad()
+        loss = -bound(process(x[some]), y[some])
+        loss.backward()
+        steps.step()
+    process.eval()
+    facts = {
+        "points_used": len(points),
+        "inducing_points": SPARSE_INDUCING,
+        "length_scale_m": round(process.kernel.base_kernel.lengthscale.item(), 3),
+        "build_s": round(perf_counter() - started, 4),
+        "memory_bytes": sum(p.numel() * p.element_size() for p in process.parameters()),
+    }
+
+    def predict(asked: Floats) -> tuple[Floats, Bools]:
+        with torch.no_grad():
+            parts = [
+                likelihood(process(torch.as_tensor(part, dtype=torch.float32))).mean.numpy()
+                for part in np.array_split(asked, -(-len(asked) // _BATCH))
+            ]
+        return np.concatenate(parts).astype(np.float64), np.ones(len(asked), np.bool_)
+
+    return Contender("sparse GP", predict, facts)
 
 
 def hilbert_map(training: Sequence[Scan], _resolution_m: float) -> Contender:
@@ -86,19 +157,20 @@ def hilbert_map(training: Sequence[Scan], _resolution_m: float) -> Contender:
         length_m = min(
             HILBERT_LENGTHS_M,
             key=lambda length: negative_log_likelihood(
-                _hilbert(some, length)(aside.points)[0], aside.occupied
+                _asking(_hilbert(some, length))(aside.points)[0], aside.occupied
             ),
         )
-    predict = _hilbert(labelled_points(training, _SEED, HILBERT_POINTS), length_m)
+    model = _hilbert(labelled_points(training, _SEED, HILBERT_POINTS), length_m)
     facts = {
         "length_scale_m": length_m,
         "features": HILBERT_FEATURES,
         "build_s": round(perf_counter() - started, 4),
+        "memory_bytes": len(pickle.dumps(model)),
     }
-    return Contender("Hilbert map", predict, facts)
+    return Contender("Hilbert map", _asking(model), facts)
 
 
-def _hilbert(points: LabelledPoints, length_m: float) -> Callable[[Floats], tuple[Floats, Bools]]:
+def _hilbert(points: LabelledPoints, length_m: float) -> object:
     from sklearn.kernel_approximation import Nystroem
     from sklearn.linear_model import SGDClassifier
     from sklearn.pipeline import make_pipeline
@@ -111,7 +183,7 @@ def _hilbert(points: LabelledPoints, length_m: float) -> Callable[[Floats], tupl
     regression = SGDClassifier(loss="log_loss", alpha=1e-6, random_state=_SEED, average=True)
     model = make_pipeline(features, regression)
     model.fit(points.points, points.occupied)
-    return _asking(model)
+    return model
 
 
 def _asking(model: object) -> Callable[[Floats], tuple[Floats, Bools]]:
@@ -129,6 +201,7 @@ PEERS: dict[str, tuple[str, str, Builder]] = {
     "OctoMap": ("octomap", "octomap-python", octomap_map),
     "GP classifier": ("sklearn", "scikit-learn", gp_classifier),
     "Hilbert map": ("sklearn", "scikit-learn", hilbert_map),
+    "sparse GP": ("gpytorch", "gpytorch", sparse_gp),
 }
 """Name to the module it needs, the package that brings it, and how it is built."""
 

@@ -11,6 +11,7 @@ _HEADING = (
     "NLL. Far: NLL at points more than {far_m:g} m from every training beam."
 )
 _HEADS = ("AUC", "NLL", "Brier", "ECE", "unknown")
+_COSTS = ("log", "share", "method", "built in, s", "points/s", "MB")
 
 
 def as_dict(rounds: Sequence[Round], missing: dict[str, str]) -> dict[str, object]:
@@ -34,7 +35,7 @@ def as_dict(rounds: Sequence[Round], missing: dict[str, str]) -> dict[str, objec
 
 
 def as_markdown(rounds: Sequence[Round], missing: dict[str, str]) -> str:
-    """Two tables: the scores, and the targets."""
+    """Three tables: the scores, what they cost, and the targets."""
     lines = [
         _HEADING.format(draws=rounds[0].draws if rounds else 0, far_m=FAR_M),
         "",
@@ -43,6 +44,12 @@ def as_markdown(rounds: Sequence[Round], missing: dict[str, str]) -> str:
     ]
     lines += [
         _row(one.log, str(one.share), result.method, *_cells(result))
+        for one in rounds
+        for result in one.results
+    ]
+    lines += ["", _row(*_COSTS), _row(*["---"] * len(_COSTS))]
+    lines += [
+        _row(one.log, str(one.share), result.method, *_costs(result))
         for one in rounds
         for result in one.results
     ]
@@ -68,6 +75,15 @@ def _cells(result: Result) -> list[str]:
         _both(s["auc"], 4), _both(s["nll"], 4), f"{s['brier'].mean:.4f}",
         f"{s['ece'].mean:.4f}", f"{s['share_unknown'].mean:.4f}", far,
     ]  # fmt: skip
+
+
+def _costs(result: Result) -> list[str]:
+    """How long building took, with training; answers per second; memory that answering needs."""
+    facts = {name: v for name, v in result.facts.items() if isinstance(v, int | float)}
+    seconds = facts.get("build_s", 0.0) + facts.get("training_s", 0.0)
+    rate = f"{1e6 / facts['query_us']:.2g}" if facts.get("query_us") else ""
+    memory = f"{facts['memory_bytes'] / 1e6:.2g}" if "memory_bytes" in facts else ""
+    return [f"{seconds:.3g}", rate, memory]
 
 
 def _both(value: Spread, digits: int) -> str:

@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 
 from clients.comparison.peers import peers
-from clients.contenders import Contender, chosen_grids, gpom_map
+from clients.contenders import Contender, chosen_grids, gpom_map, log_odds_grids
 from clients.protocol import (
     Bools,
     Floats,
@@ -104,6 +104,7 @@ def play(
     contenders += chosen_grids(training)
     if with_peers:
         resolution = next(c for c in contenders if c.name == "log-odds grid").facts["resolution_m"]
+        contenders += log_odds_grids(training)
         contenders += peers(training, float(str(resolution)))
     return Round(
         log=log,

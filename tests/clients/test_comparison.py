@@ -72,9 +72,13 @@ def test_peers_learn_the_room(name: str, monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(peers, "HILBERT_FEATURES", 100)
     monkeypatch.setattr(peers, "HILBERT_POINTS", 1000)
     monkeypatch.setattr(peers, "GP_POINTS", 100)
+    monkeypatch.setattr(peers, "SPARSE_INDUCING", 50)
+    monkeypatch.setattr(peers, "SPARSE_STEPS", 100)
     training, held_out = split(SCANS)
     test = labelled_points(held_out, seed=0, keep=200)
-    probability, known = build(training, 0.1).predict(test.points)
+    peer = build(training, 0.1)
+    assert peer.facts["memory_bytes"] > 0
+    probability, known = peer.predict(test.points)
     assert probability.shape == known.shape == (200,)
     assert probability[test.occupied].mean() > probability[~test.occupied].mean() + 0.3
 
