@@ -23,6 +23,7 @@ from service.points import predict, read_request, write_answer
 from service.priority import be_nice
 from service.problems import problem_of
 from service.query_desk import QueryDesk
+from service.raster_store import RasterStore
 from service.saver import Saver
 from service.sequences import Cursor, SensorKey
 from service.settings import Settings
@@ -73,6 +74,7 @@ class MapService:
             name="gpom-tile",
         )
         self.tiles = TileStore(self._tile_desk, settings.http.tile_cache_bytes_max)
+        self.rasters = RasterStore(self.queries, settings.http.grid_cache_bytes_max, ports.clock)
         self.instance = secrets.token_hex(4)  # versions of two runs have nothing in common
         self._ports = ports
         self._journal = ports.journal if ports.archive is None else ports.archive.journal

@@ -68,6 +68,9 @@ class HttpSettings(_Section):
     tile_cache_bytes_max: int = Field(
         64 * 2**20, ge=2**20, description="memory for map tiles that were drawn"
     )
+    grid_cache_bytes_max: int = Field(
+        32 * 2**20, ge=0, description="memory for rasters that may be asked for again"
+    )
     retry_after_s: int = Field(1, ge=1, description="what a 503 tells the client to wait")
     flush_timeout_max_s: float = Field(600.0, gt=0.0, description="longest wait of one flush")
     event_clients_max: int = Field(64, ge=1, description="open event streams; then 503")

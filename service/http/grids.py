@@ -12,8 +12,11 @@ from service import nav2, piecewise, render
 from service.errors import PayloadTooLargeError
 from service.http.context import VERSION_HEADER, Service
 from service.points import NPY, Fusion, Method, write_npy
+from service.raster_store import Raster
 
 router = APIRouter(tags=["raster"])
+
+MAX_AGE_S = 60.0
 
 Format = Literal["png", "npy", "nav2"]
 _MEDIA: dict[Format, str] = {"png": "image/png", "npy": NPY, "nav2": "application/zip"}
@@ -30,7 +33,7 @@ _ANSWER: dict[int | str, dict[str, Any]] = {
 
 
 @router.get("/v1/grid", responses=_ANSWER, response_class=Response)
-async def grid(
+async def grid(  # noqa: PLR0913, PLR0917 - every parameter of the URL is an argument
     service: Service,
     bbox: Annotated[
         str | None,
@@ -53,6 +56,15 @@ async def grid(
     method: Annotated[
         Method, Query(description="field: interpolated where much is asked for; or exact")
     ] = "field",
+    max_age_s: Annotated[
+        float,
+        Query(
+            ge=0.0,
+            le=MAX_AGE_S,
+            description="rather the last raster of this kind at once, if its version was the "
+            "newest so long ago, than a wait for the newest",
+        ),
+    ] = 0.0,
 ) -> Response:
     """Draw a part of the map."""
     snapshot = service.state.snapshot
@@ -68,9 +80,13 @@ async def grid(
             return write_npy(getattr(cells, layer).astype("<f8"))
         return render.png(cells, layer, snapshot.prior_variance)
 
-    content = await asyncio.wrap_future(service.queries.submit(draw))
-    headers = {VERSION_HEADER: str(snapshot.version)}
-    return Response(content, media_type=_MEDIA[format], headers=headers)
+    key = (box, resolution, layer, format, mode, fusion, method)
+    raster = service.rasters.raster(key, snapshot.version, draw, max_age_s)
+    if not isinstance(raster, Raster):
+        # Others may wait for the same drawing, so one who goes away does not cancel it.
+        raster = await asyncio.shield(asyncio.wrap_future(raster))
+    headers = {VERSION_HEADER: str(raster.map_version)}
+    return Response(raster.content, media_type=_MEDIA[format], headers=headers)
 
 
 def _bounds(text: str | None, snapshot: Snapshot) -> Bounds:

@@ -198,6 +198,19 @@ def test_grid_npy_is_the_query_at_cell_centres(mapped) -> None:
         assert grid[1, 2] == pytest.approx(float(answer[layer][0]), abs=1e-12)
 
 
+def test_a_grid_may_be_of_the_version_before(mapped, source) -> None:
+    url = "/v1/grid?bbox=-5,-4,5,4&resolution=0.1&format=npy"
+    before = mapped.get(url)
+    source.put("robot", "front", payload_at(10.0, 0.0, seq=6, room=(10.0, 0.0)))
+    version = mapped.post("/v1/flush", json={"timeout_s": 60}).json()["map_version"]
+    at_once = mapped.get(f"{url}&max_age_s=60")
+    assert at_once.content == before.content
+    assert at_once.headers[VERSION_HEADER] == before.headers[VERSION_HEADER]
+    assert mapped.get(url).headers[VERSION_HEADER] == str(version)
+    assert mapped.get(f"{url}&max_age_s=60").headers[VERSION_HEADER] == str(version)
+    _problem(mapped.get(f"{url}&max_age_s=-1"), 422)
+
+
 def test_grid_png_shows_the_room(mapped) -> None:
     response = mapped.get("/v1/grid?bbox=-5,-4,5,4&resolution=0.1")
     assert response.headers["content-type"] == "image/png"
