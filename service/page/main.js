@@ -71,8 +71,8 @@ function fit(bounds) {
   state.placed = true;
   const phone = window.innerWidth < 720;
   map.fitBounds(boxOf(bounds), {
-    paddingTopLeft: phone ? [4, 60] : [20, 20],
-    paddingBottomRight: phone ? [4, 150] : [20, 20],
+    paddingTopLeft: phone ? [4, 60] : [20, 64],
+    paddingBottomRight: phone ? [4, 150] : [110, 20],
     animate: false,
   });
 }

@@ -17,7 +17,7 @@ stand_in() { # IMAGE, and what a Dockerfile says after FROM
   echo "    (Debian's stands in for $1)"
 }
 
-image_of() { sed -n "s/^    image: \($1.*\)\$/\1/p" docker/compose.*.yaml; }
+image_of() { sed -n "s|^    image: \($1.*\)\$|\1|p" docker/compose.*.yaml; }
 
 production() {
   rm -rf "$GPOM_TLS" && mkdir -p "$GPOM_TLS"
