@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numba import carray
@@ -28,6 +29,8 @@ from gpom_core.opinions import tile_sums
 from gpom_core.pages import Pages, pages_of
 from gpom_core.pointers import pointer
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
+
+_T = TypeVar("_T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,20 +76,25 @@ def build_sector(
     ordered = {c: members[c] for c in sorted(members)}
     ix = (key >> TILE_BITS) - TILE_OFFSET
     iy = (key & ((1 << TILE_BITS) - 1)) - TILE_OFFSET
-    tables = np.stack([m.table for m in ordered.values()])
+    tables = _rows([m.table for m in ordered.values()])
     starts, entries = _entries(tables, ix * SECTOR_TILES, iy * SECTOR_TILES)
     gone = _locals(np.empty(0, np.int64) if changed is None else changed, ix, iy)
     return Sector(
         members=ordered,
         corner=np.array([ix * SECTOR_M, iy * SECTOR_M]),
         tables=tables,
-        scales=np.stack([m.scales for m in ordered.values()]),
+        scales=_rows([m.scales for m in ordered.values()]),
         starts=starts,
         entries=entries,
         pages=_pages(starts, before, gone),
         used=np.zeros(TILES_IN_SECTOR, np.int64) if before is None else before.used.copy(),
         asked=_asked(before, gone),
     )
+
+
+def _rows(arrays: list[NDArray[_T]]) -> NDArray[_T]:
+    """As `np.stack`, which wraps every array: a third of a swap."""
+    return np.concatenate(arrays).reshape(len(arrays), -1)
 
 
 def _asked(before: Sector | None, gone: NDArray[np.int64]) -> NDArray[np.int64]:
