@@ -14,7 +14,7 @@ from numba import carray
 from numpy.typing import NDArray
 
 from gpom_core.committee import Fusion
-from gpom_core.jit import compiled
+from gpom_core.jit import brief, compiled
 from gpom_core.member import (
     SECTOR_M,
     SECTOR_TILES,
@@ -219,3 +219,24 @@ def committee_sums(
         for w in range(len(here)):
             precision[here[w]] += sums[0, w]
             information[here[w]] += sums[1, w]
+
+
+@brief
+def few_sums(
+    points: NDArray[np.float64],
+    which: NDArray[np.int64],
+    corner: NDArray[np.float64],
+    tables: NDArray[np.int64],
+    scales: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    entries: NDArray[np.int64],
+    fusion: int,
+    negligible: float,
+    precision: NDArray[np.float64],
+    information: NDArray[np.float64],
+) -> None:
+    """As `committee_sums`, for so few points that giving up the interpreter does not pay."""
+    committee_sums(
+        points, which, corner, tables, scales, starts, entries, fusion, negligible,
+        precision, information,
+    )  # fmt: skip
