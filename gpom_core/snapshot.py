@@ -15,6 +15,7 @@ from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
 from gpom_core.field import Field
 from gpom_core.member import SECTOR_M, Bounds, Member, sector_key
+from gpom_core.reach import TILE_BITS, TILE_OFFSET
 from gpom_core.sector import Sector, build_sector, committee_sums, few_sums
 
 # Evidence farther away is left out. The inverse matrices' large entries make distant values count:
@@ -134,16 +135,28 @@ class Snapshot:
         return union(_reach(member) for member in self.members.values())
 
     @cached_property
+    def _covered(self) -> Bounds | None:
+        """Around all sectors: it holds `reach`, and takes no look at every expert to find."""
+        if not self.sectors:
+            return None
+        keys = np.fromiter(self.sectors, np.int64, len(self.sectors))
+        x = (keys >> TILE_BITS) - TILE_OFFSET
+        y = (keys & ((1 << TILE_BITS) - 1)) - TILE_OFFSET
+        low, high = (x.min(), y.min()), (x.max() + 1, y.max() + 1)
+        xmin, ymin, xmax, ymax = (float(index) * SECTOR_M for index in (*low, *high))
+        return xmin, ymin, xmax, ymax
+
+    @cached_property
     def _fields(self) -> dict[Fusion, Field]:
         return {}
 
     def field(self, fusion: Fusion = Fusion.BCM) -> Field | None:
         """The field that `method="field"` reads, None while there is no evidence."""
-        if self.reach is None:
+        if self._covered is None:
             return None
         if fusion not in self._fields:
             self._fields[fusion] = Field(
-                self.sectors, self.reach, fusion,
+                self.sectors, self._covered, fusion,
                 negligible=NEGLIGIBLE, prior_variance=self.prior_variance,
                 slope=self.calibration.slope,
             )  # fmt: skip
@@ -163,7 +176,7 @@ class Snapshot:
             return precision, information
         precision = np.full(len(points), prior)
         information = np.zeros(len(points))
-        for key, which in _by_sector(points, self.reach).items():
+        for key, which in _by_sector(points, self._covered).items():
             sector = self.sectors.get(key)
             if sector is not None:
                 add = few_sums if len(which) <= FEW_POINTS else committee_sums
@@ -323,11 +336,11 @@ def _reach(member: Member) -> Bounds:
     return xmin - margin, ymin - margin, xmax + margin, ymax + margin
 
 
-def _by_sector(points: NDArray[np.float64], reach: Bounds | None) -> dict[int, NDArray[np.int64]]:
-    """Numbers of the points in each sector; points no evidence can reach are left out."""
-    if reach is None or len(points) == 0:
+def _by_sector(points: NDArray[np.float64], area: Bounds | None) -> dict[int, NDArray[np.int64]]:
+    """Numbers of the points in each sector; points outside the area are left out."""
+    if area is None or len(points) == 0:
         return {}
-    near = np.flatnonzero(((points >= reach[:2]) & (points <= reach[2:])).all(axis=1))
+    near = np.flatnonzero(((points >= area[:2]) & (points <= area[2:])).all(axis=1))
     if len(near) == 0:
         return {}
     index = np.floor(points[near] / SECTOR_M).astype(np.int64)
