@@ -21,6 +21,7 @@ from service.http import (
     tiles,
 )
 from service.http.guard import Guard
+from service.http.head import Head
 from service.http.observe import Observe
 from service.map_service import MapService, Ports
 from service.ros.gateway import RosGateway
@@ -57,6 +58,7 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
         responses=errors.RESPONSES,
     )
     app.state.service = service
+    app.add_middleware(Head)
     app.add_middleware(Observe, metrics=service.metrics)
     app.add_middleware(Guard, access=settings.access)
     errors.install(app)
