@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from gpom_core.calibration import Calibration
 from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
+from gpom_core.extent import in_main_places
 from gpom_core.field import Field
 from gpom_core.member import SECTOR_M, Bounds, Member, sector_key
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
@@ -128,6 +129,24 @@ class Snapshot:
     def bounds(self) -> Bounds | None:
         """xmin, ymin, xmax, ymax of all evidence, metres; None while there is none."""
         return union(member.bounds for member in self.members.values())
+
+    @cached_property
+    def main_members(self) -> tuple[Member, ...]:
+        """Those that are not in specks of evidence far from all others."""
+        members = tuple(self.members.values())
+        weights = [len(member.expert.observations) for member in members]
+        main = in_main_places([member.bounds for member in members], weights)
+        return tuple(member for member, is_main in zip(members, main, strict=True) if is_main)
+
+    @cached_property
+    def extent(self) -> Bounds | None:
+        """As `bounds`, without specks far away: what to draw when nobody says what to draw."""
+        return union(member.bounds for member in self.main_members)
+
+    @cached_property
+    def main_reach(self) -> Bounds | None:
+        """As `extent`, grown by how far evidence has a say."""
+        return union(_reach(member) for member in self.main_members)
 
     @cached_property
     def reach(self) -> Bounds | None:

@@ -38,7 +38,7 @@ async def grid(  # noqa: PLR0913, PLR0917 - every parameter of the URL is an arg
     bbox: Annotated[
         str | None,
         Query(
-            description="xmin,ymin,xmax,ymax in m; without it the whole map",
+            description="xmin,ymin,xmax,ymax in m; without it `bounds` of /v1/status",
             examples=["-10,-5,10,5"],
         ),
     ] = None,
@@ -67,6 +67,12 @@ async def grid(  # noqa: PLR0913, PLR0917 - every parameter of the URL is an arg
     ] = 0.0,
 ) -> Response:
     """Draw a part of the map."""
+    if format == "nav2" and layer != "occupancy":
+        message = (
+            f"layer is {layer} and format nav2, which holds occupancy and variance both: leave "
+            "layer out, or ask for png or npy"
+        )
+        raise InvalidQueryError(message)
     snapshot = service.state.snapshot
     box = _bounds(bbox, snapshot)
     _check_size(box, resolution, service.settings.http.grid_cells_max)
@@ -91,9 +97,9 @@ async def grid(  # noqa: PLR0913, PLR0917 - every parameter of the URL is an arg
 
 def _bounds(text: str | None, snapshot: Snapshot) -> Bounds:
     if text is None:
-        if snapshot.bounds is None:
+        if snapshot.extent is None:
             raise InvalidQueryError("the map is empty, so it has no bounds; name a bbox")
-        return snapshot.bounds
+        return snapshot.extent
     try:
         xmin, ymin, xmax, ymax = map(float, text.split(","))
     except ValueError as error:

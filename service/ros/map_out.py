@@ -199,16 +199,20 @@ class MapPublisher:
         except GpomError as error:  # it is being restored
             logger.debug("no map to publish: %s", error)
             return
-        if snapshot.reach is None or (self._grid is not None and area is None):
+        if snapshot.main_reach is None or (self._grid is not None and area is None):
             return
         resolution_m = self._settings.map.resolution_m
-        everything = patch_over(snapshot.reach, resolution_m)
-        grid = self._grid
-        changed = everything if grid is None or area is None else patch_over(area, resolution_m)
-        whole = everything.joined(changed).grown()
-        if grid is not None:
+        everything = patch_over(snapshot.main_reach, resolution_m)
+        whole, grid = everything.grown(), self._grid
+        if grid is not None and whole.joined(grid.patch).cells <= self._settings.map.cells_max:
             whole = whole.joined(grid.patch)
+        else:  # it began, or its beginning turned out to be a speck far from the map
+            grid = None
         if not self._fits(whole):
+            return
+        touched = everything if grid is None or area is None else patch_over(area, resolution_m)
+        changed = touched.clipped(whole)
+        if changed is None:  # a speck far away
             return
         grew = grid is None or whole != grid.patch
         grid = self._grid = _resized(grid, whole)
@@ -221,7 +225,7 @@ class MapPublisher:
             self._send_update(grid, changed, fresh)
 
     def _fits(self, whole: Patch) -> bool:
-        fits = whole.rows * whole.columns <= self._settings.map.cells_max
+        fits = whole.cells <= self._settings.map.cells_max
         if not fits and not self._too_large:
             logger.warning(
                 "the map has %d x %d cells of %g m and is not published any more; the setting "

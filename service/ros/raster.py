@@ -43,6 +43,11 @@ class Patch:
             (self.row + self.rows) * resolution_m,
         )
 
+    @property
+    def cells(self) -> int:
+        """How many it has."""
+        return self.rows * self.columns
+
     def contains(self, other: "Patch") -> bool:
         """Tell whether all cells of another are in this one."""
         return self.joined(other) == self
@@ -53,6 +58,13 @@ class Patch:
         right = max(self.column + self.columns, other.column + other.columns)
         top = max(self.row + self.rows, other.row + other.rows)
         return Patch(column, row, right - column, top - row)
+
+    def clipped(self, outer: "Patch") -> "Patch | None":
+        """Give its part within another one; None if there is none."""
+        column, row = max(self.column, outer.column), max(self.row, outer.row)
+        columns = min(self.column + self.columns, outer.column + outer.columns) - column
+        rows = min(self.row + self.rows, outer.row + outer.rows) - row
+        return Patch(column, row, columns, rows) if columns > 0 and rows > 0 else None
 
     def grown(self, block: int = GROWTH_CELLS) -> "Patch":
         """Give the smallest one around it whose edges are multiples of a block."""

@@ -159,6 +159,23 @@ def test_a_map_that_is_too_large_is_not_published(service, source, published, ca
         assert viewer.cells is None
 
 
+@pytest.mark.parametrize("first", [(0.0, 0.0), (9e6, 9e6)])
+def test_a_robot_that_is_lost_does_not_end_it(service, source, published, first) -> None:
+    """Whether it is lost when the map begins, or later."""
+    endpoint = published()
+    with open_session(connect=endpoint) as session:
+        viewer = Viewer(session, KEYS[0])
+        source.put("lost", "laser", payload_at(*first, room=first, seq=1))
+        service.flush().result(60.0)
+        wait_until(lambda: viewer.cells is not None, 10.0)
+        rooms = [(8.0 * i, 8.0 * j) for i in range(12) for j in range(12)]
+        for seq, room in enumerate([*rooms, (-9e6, 0.0)], 1):
+            source.put("r1", "laser", payload_at(*room, room=room, seq=seq))
+        service.flush().result(60.0)
+        wait_until(lambda: np.array_equal(viewer.cells, expected(service, viewer)), 20.0)
+        assert viewer.grids[-1].info.width < 2000
+
+
 def test_nothing_is_published_when_it_is_off(service) -> None:
     with open_session(mode="peer") as session:
         for ros in (RosSettings(), RosSettings(transports=("bridge",), map={"publish": False})):
@@ -178,3 +195,6 @@ def test_patches() -> None:
     assert not patch.contains(patch.grown())
     assert patch.within(Patch(-4, 0, 8, 4)) == (slice(0, 2), slice(3, 8))
     assert patch.bounds(0.5) == (-0.5, 0.0, 2.0, 1.0)
+    assert (patch.cells, patch.clipped(patch.grown())) == (10, patch)
+    assert patch.clipped(Patch(2, -3, 9, 4)) == Patch(2, 0, 2, 1)
+    assert patch.clipped(Patch(4, 0, 9, 9)) is None
