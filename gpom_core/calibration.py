@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.special import log_ndtr, ndtr
 
 DEFAULT_SLOPE = 3.0  # before there is evidence to fit it: targets are +1 and -1, not infinite
@@ -75,6 +74,9 @@ def fit(
             ]
         )
         return value, gradient
+
+    # Not at the top: it takes a fifth of a second, which a service that restarts need not wait for.
+    from scipy.optimize import minimize  # noqa: PLC0415
 
     first = start or Calibration()
     found = minimize(

@@ -96,6 +96,13 @@ class Archive:
         """All checkpoints, the newest last."""
         return sorted(self.directory.glob(_PATTERN))
 
+    def newest(self) -> str:
+        """What `load` will read, in words; that may take a while."""
+        found = self.checkpoints()
+        if not found:
+            return "the scans of the journal"
+        return f"{found[-1].name}, {found[-1].stat().st_size / 1e6:.0f} MB"
+
     def load(self, executor: Executor | None = None) -> tuple[Mapper, int]:
         """Load the newest checkpoint.
 

@@ -1,7 +1,7 @@
 """The robots that were seen: what arrived from each, where it is, whether it is there."""
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 from gpom_core.scan import Pose2D
@@ -36,12 +36,13 @@ class RobotStatus:
 
     Attributes:
         id: name of the robot, from the key its scans come under.
-        scans: accepted ones.
+        scans: accepted ones, over all runs of the robot and of the service.
         lost: scans that its sequence numbers say exist, but that never came.
         last_seen_unix_s: when its last scan came; None before the first.
         pose: of the sensor that sent the last scan, in the map frame; None before the first.
         alive: whether its liveliness token is up.
         intake: of a robot whose scans come without a pose; None of others.
+        refused: scans that did not enter the map, by reason, since the service started.
     """
 
     id: str
@@ -51,6 +52,7 @@ class RobotStatus:
     pose: Pose2D | None = None
     alive: bool = False
     intake: IntakeStatus | None = None
+    refused: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -60,6 +62,12 @@ class Fleet:
     robots_max: int
     _robots: dict[str, RobotStatus] = field(default_factory=dict, init=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, init=False)
+
+    def restore(self, robots: Iterable[RobotStatus]) -> None:
+        """Remember robots of before; when there is not room for all, those seen last."""
+        by_age = sorted(robots, key=lambda robot: robot.last_seen_unix_s or 0.0)
+        with self._lock:
+            self._robots = {robot.id: robot for robot in by_age[-self.robots_max :]}
 
     def has_room(self, robot: str, newcomers: set[str] | None = None) -> bool:
         """Tell whether scans of this robot can be taken: it is known, or there is room.
@@ -88,6 +96,15 @@ class Fleet:
                 pose=pose,
             )
             return now if before.scans == 0 else None
+
+    def refused_scans(self, robot: str, reason: str, count: int = 1) -> None:
+        """Note scans that did not enter the map; of robots that are known, so names stay few."""
+        with self._lock:
+            before = self._robots.get(robot)
+            if before is None:
+                return
+            refused = {**before.refused, reason: before.refused.get(reason, 0) + count}
+            self._robots[robot] = replace(before, refused=refused)
 
     def set_alive(self, robot: str, alive: bool) -> RobotStatus | None:
         """Note that a robot came or went.

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from gpom_core import wire
 from gpom_core.errors import InvalidScanError
+from gpom_core.scan import Scan
 from service.clock import Clock
 from service.errors import JournalError
 from service.events import EventBus, RobotChanged
 from service.fleet import Fleet
-from service.journal import Journal, ScanRecord
+from service.journal import UNLIMITED_BEAMS, Journal, ScanRecord
 from service.metrics import Metrics
 from service.scan_queue import ScanQueue
 from service.sequences import Admission, Cursor, SensorKey, SequenceBook, Verdict
@@ -80,7 +81,8 @@ class Ingest:
 
     def resume(self) -> None:
         """Go on where the journal ends; to be called before the start."""
-        self._book = SequenceBook(self._journal.cursors())
+        self._book = SequenceBook(self._journal.cursors(), self._clock.monotonic_s())
+        self._fleet.restore(self._journal.robots())
 
     def cursor(self, key: SensorKey) -> Cursor | None:
         """Give the last stored scan of a sensor; None if there is none. From any thread."""
@@ -106,46 +108,50 @@ class Ingest:
         return True
 
     def _accept(self, envelopes: Sequence[Envelope]) -> list[ScanRecord]:
-        refused: Counter[str] = Counter()
-        admission = self._book.begin()
+        refused: Counter[tuple[str, str]] = Counter()
+        admission = self._book.begin(self._clock.monotonic_s())
         records: list[ScanRecord] = []
-        lost: list[int] = []
         robots: set[str] = set()
         for envelope in envelopes:
-            record = self._decode(envelope, robots, refused)
-            if record is None:
+            robot, sensor = envelope.robot, envelope.sensor
+            scan = self._decode(envelope, robots, refused)
+            if scan is None:
                 continue
-            judgement = admission.judge(SensorKey(record.robot, record.sensor), record.scan)
+            judgement = admission.judge(SensorKey(robot, sensor), scan)
             if judgement.verdict is not Verdict.NEW:
-                refused[judgement.verdict.value] += 1
+                refused[robot, judgement.verdict.value] += 1
                 continue
-            robots.add(record.robot)
-            records.append(record)
-            lost.append(judgement.lost)
+            robots.add(robot)
+            records.append(
+                ScanRecord(
+                    *(robot, sensor, envelope.payload, envelope.received_unix_s, scan),
+                    boot=judgement.boot,
+                    lost=judgement.lost,
+                )
+            )
         if not self._store(records, admission):
-            refused["not_stored"] += len(records)
+            refused.update((record.robot, "not_stored") for record in records)
             records = []
-        for record, missing in zip(records, lost, strict=False):
-            self._note(record, missing)
-        for reason, count in refused.items():
+        for record in records:
+            self._note(record)
+        for (robot, reason), count in refused.items():
             self._metrics.scans_refused.labels(reason).inc(count)
-        return records
+            self._fleet.refused_scans(robot, reason, count)
+        return [record.within(self._settings.beams_max) for record in records]
 
     def _decode(
-        self, envelope: Envelope, robots: set[str], refused: Counter[str]
-    ) -> ScanRecord | None:
+        self, envelope: Envelope, robots: set[str], refused: Counter[tuple[str, str]]
+    ) -> Scan | None:
         if not self._fleet.has_room(envelope.robot, robots):
-            refused["too_many_robots"] += 1
+            refused[envelope.robot, "too_many_robots"] += 1
             return None
         try:
-            scan = wire.decode(envelope.payload, max_beams=self._settings.beams_max)
+            # Too many beams for the map are not too many for the journal: see `ScanRecord.within`.
+            return wire.decode(envelope.payload, max_beams=UNLIMITED_BEAMS)
         except InvalidScanError as error:
-            refused[error.reason] += 1
+            refused[envelope.robot, error.reason] += 1
             logger.debug("scan of %s/%s refused: %s", envelope.robot, envelope.sensor, error)
             return None
-        return ScanRecord(
-            envelope.robot, envelope.sensor, envelope.payload, envelope.received_unix_s, scan
-        )
 
     def _store(self, records: Sequence[ScanRecord], admission: Admission) -> bool:
         """Commit, remember, acknowledge: in this order, so nothing is promised that can be lost."""
@@ -181,11 +187,11 @@ class Ingest:
             logger.info("scans are stored again")
             self._journal_trouble = None
 
-    def _note(self, record: ScanRecord, lost: int) -> None:
-        if lost:
-            self._metrics.scans_lost.inc(lost)
+    def _note(self, record: ScanRecord) -> None:
+        if record.lost:
+            self._metrics.scans_lost.inc(record.lost)
         newcomer = self._fleet.saw_scan(
-            record.robot, record.scan.pose, lost, record.received_unix_s
+            record.robot, record.scan.pose, record.lost, record.received_unix_s
         )
         if newcomer is not None:
             self._events.publish(RobotChanged(newcomer.id, newcomer.alive))

@@ -5,12 +5,14 @@ Stored scans are numbered 1, 2, 3, … by their position; a checkpoint of the ma
 position it goes.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from gpom_core.scan import Scan
 from service.errors import JournalError
+from service.fleet import RobotStatus
 from service.sequences import Cursor, SensorKey
 
 UNLIMITED_BEAMS = 2**32 - 1
@@ -19,13 +21,37 @@ UNLIMITED_BEAMS = 2**32 - 1
 
 @dataclass(frozen=True, slots=True)
 class ScanRecord:
-    """A scan that was decoded and found to be new, with the bytes it came in."""
+    """A scan that was decoded and found to be new, with the bytes it came in.
+
+    Attributes:
+        robot, sensor: that sent it.
+        payload: the bytes.
+        received_unix_s: when they came.
+        scan: what they say.
+        boot: of the run that it counts under; see `service.sequences`.
+        lost: scans that are missing just before it.
+        withheld: why it is stored but does not enter the map; None of nearly all.
+    """
 
     robot: str
     sensor: str
     payload: bytes
     received_unix_s: float
     scan: Scan
+    boot: int = 0
+    lost: int = 0
+    withheld: str | None = None
+
+    def within(self, beams_max: int) -> "ScanRecord":
+        """The same, ready for the map; of one with too many beams only the fact is left.
+
+        Such a scan is durable like any other: refused, it would hold up its stream for ever. It is
+        in the journal for the day that the limit is raised.
+        """
+        if len(self.scan.ranges_m) <= beams_max:
+            return self
+        scan = replace(self.scan, ranges_m=self.scan.ranges_m[:1].copy(), intensities=None)
+        return replace(self, payload=b"", scan=scan, withheld="too_many_beams")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +98,10 @@ class Journal(Protocol):
         """Give the last scan of every sensor that was ever stored."""
         ...
 
+    def robots(self) -> Sequence[RobotStatus]:
+        """Give what is known of every robot whose scans were ever stored."""
+        ...
+
     def replay(self, after: int, until: int) -> Iterator[StoredScan]:
         """Read scans with `after` < position <= `until`, in order.
 
@@ -102,6 +132,10 @@ class NoJournal:
     def cursors(self) -> Mapping[SensorKey, Cursor]:
         """None."""
         return {}
+
+    def robots(self) -> Sequence[RobotStatus]:
+        """None."""
+        return ()
 
     def replay(self, after: int, until: int) -> Iterator[StoredScan]:  # noqa: ARG002 - the port's
         """None."""
@@ -146,8 +180,21 @@ class MemoryJournal:
         for record in self.records:
             if record.scan.seq:
                 key = SensorKey(record.robot, record.sensor)
-                found[key] = Cursor(record.scan.boot, record.scan.seq)
+                found[key] = Cursor(record.boot, record.scan.seq)
         return found
+
+    def robots(self) -> Sequence[RobotStatus]:
+        """Give what is known of every robot."""
+        scans, lost = Counter[str](), Counter[str]()
+        last = {}
+        for record in self.records:
+            scans[record.robot] += 1
+            lost[record.robot] += record.lost
+            last[record.robot] = record
+        return [
+            RobotStatus(robot, scans[robot], lost[robot], record.received_unix_s, record.scan.pose)
+            for robot, record in last.items()
+        ]
 
     def replay(self, after: int, until: int) -> Iterator[StoredScan]:
         """Read records in order."""

@@ -80,6 +80,8 @@ class MapService:
         self._journal = ports.journal if ports.archive is None else ports.archive.journal
         self._saver: Saver | None = None
         self._pool: ThreadPoolExecutor | None = None
+        self._starting: str | None = "the service is starting"  # what it does until it has started
+        self._received_before = 0
         self._mapping = MapKeeper(
             Mapper(settings.map),
             self._new_pool(),
@@ -87,6 +89,7 @@ class MapService:
             ingest=settings.ingest,
             training=settings.training,
             events=self.events,
+            fleet=self.fleet,
             metrics=self.metrics,
             clock=ports.clock,
             renew_executor=self._new_pool,
@@ -120,14 +123,14 @@ class MapService:
         Raises:
             NotReadyError: it is being restored; answers would be those of an older map.
         """
-        if self._mapping.restoring:
-            raise NotReadyError([self._mapping.trouble() or "the map is being restored"])
+        if self._starting is not None or self._mapping.restoring:
+            raise NotReadyError(self.troubles() or ["the map is being restored"])
         return self._mapping.state
 
     @property
     def scans_received(self) -> int:
-        """Scans that arrived, whatever became of them."""
-        return self._ingest.queue.received
+        """Scans that arrived, whatever became of them; of runs before, those that were stored."""
+        return self._received_before + self._ingest.queue.received
 
     @property
     def scans_waiting(self) -> int:
@@ -140,7 +143,9 @@ class MapService:
         return self._ports.source.endpoints()
 
     def start(self) -> None:
-        """Load what was kept, start the threads, then let scans in.
+        """Load what was kept, start the threads, then let scans in. That may take a while.
+
+        Meanwhile another thread may ask everything of it: `troubles` tells how far it is.
 
         Raises:
             JournalError, MapFileError: what was kept cannot be read; it is left as it is.
@@ -148,15 +153,18 @@ class MapService:
         """
         # Small factorisations get 10-20 times slower when each tries to use all cores.
         threadpoolctl.threadpool_limits(1)
-        self._resume()
+        self._mapping.worker.start()  # gets the kernels ready while the map is loaded
         try:
+            self._resume()
+            self._starting = "the zenoh session is being opened"
             # Before the threads: what arrives waits in the queue, and what fails, fails fast.
             self._ports.source.open(self)
         except BaseException:
             self.stop()
             raise
-        self._mapping.worker.start()
+        self._mapping.begin()
         self._ingest.worker.start()
+        self._starting = None
 
     def _resume(self) -> None:
         archive, journal = self._ports.archive, self._journal
@@ -168,12 +176,10 @@ class MapService:
                     "no data directory is set: the map is kept in memory and ends with this process"
                 )
             return
+        self._starting = f"the journal in {archive.directory} is being opened"
         archive.open()
-        try:
-            mapper, position = archive.load(self._pool)
-        except BaseException:
-            archive.close()
-            raise
+        self._starting = f"the map is being restored from {archive.newest()}"
+        mapper, position = archive.load(self._pool)
         self._saver = Saver(
             archive.save,
             position,
@@ -184,6 +190,7 @@ class MapService:
         tail = journal.replay(position, journal.position)
         self._mapping.resume(mapper, position, tail, self._saver)
         self._ingest.resume()
+        self._received_before = sum(robot.scans for robot in self.fleet.robots())
 
     def hang_up(self) -> None:
         """End what keeps connections open for long: event streams and heavy queries."""
@@ -212,6 +219,8 @@ class MapService:
 
     def troubles(self) -> list[str]:
         """Why the service is not ready; empty when it is."""
+        if (starting := self._starting) is not None:
+            return [starting]
         parts: list[_Part] = [self._ports.source, self._ingest, self._mapping]
         if self._saver is not None:
             parts.append(self._saver)

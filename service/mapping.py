@@ -12,9 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice
 
-from gpom_core import wire
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.mapper import Mapper
@@ -22,11 +20,13 @@ from gpom_core.snapshot import Snapshot
 from service.clock import Clock
 from service.errors import StoppingError
 from service.events import EventBus, MapChanged
+from service.fleet import Fleet
 from service.ingest import Batch
-from service.journal import UNLIMITED_BEAMS, ScanRecord, StoredScan
+from service.journal import ScanRecord, StoredScan
 from service.metrics import Metrics
 from service.saver import Saver
 from service.settings import IngestSettings, TrainingSettings
+from service.tail import Tail
 from service.training import Quarantine, Training
 from service.warmup import warm_up
 from service.worker import Worker
@@ -108,29 +108,31 @@ class MapKeeper:
         ingest: IngestSettings,
         training: TrainingSettings,
         events: EventBus,
+        fleet: Fleet,
         metrics: Metrics,
         clock: Clock,
         renew_executor: Callable[[], Executor] | None = None,
     ) -> None:
         self._config = config
         self._events = events
+        self._fleet = fleet
         self._metrics = metrics
         self._clock = clock
+        self._beams_max = ingest.beams_max
         self._backlog_scans_max = ingest.backlog_scans_max
         self._changed = threading.Condition()
         self._batches: deque[Batch] = deque()
         self._backlog = 0
         self._flushes: list[_Flush] = []
         self._stopping = False
+        self._begun = False
         self._poked = False
         self._warm = False
         self._current: deque[ScanRecord] = deque()
         self._current_ticket = 0
         self._settled_ticket = 0
         self._position = 0  # in the journal, of the last scan that was handed over
-        self._resumed_at = 0
-        self._tail: Iterator[StoredScan] = iter(())
-        self._restoring = False
+        self._tail: Tail | None = None
         self._saver: Saver | None = None
         self._new_training = partial(
             Training,
@@ -152,7 +154,7 @@ class MapKeeper:
     def resume(
         self, mapper: Mapper, position: int, tail: Iterator[StoredScan], saver: "Saver"
     ) -> None:
-        """Go on from a checkpoint and the scans stored since; to be called before the start.
+        """Go on from a checkpoint and the scans stored since; to be called before `begin`.
 
         Args:
             mapper: of the checkpoint, which goes up to `position` in the journal.
@@ -161,9 +163,14 @@ class MapKeeper:
             saver: is offered the map after every step.
         """
         self._adopt(mapper)
-        self._position, self._tail, self._saver = position, tail, saver
-        self._resumed_at = position
-        self._restoring = True
+        self._tail, self._saver = Tail(tail, position, self._beams_max), saver
+        self._position = position
+
+    def begin(self) -> None:
+        """Let the thread, which gets the kernels ready as soon as it is started, go on to work."""
+        with self._changed:
+            self._begun = True
+            self._changed.notify_all()
 
     def _adopt(self, mapper: Mapper) -> None:
         self._mapper = mapper
@@ -174,7 +181,7 @@ class MapKeeper:
     @property
     def restoring(self) -> bool:
         """Whether answers would come from a map that is not yet what it was."""
-        return self._restoring
+        return self._tail is not None
 
     @property
     def backlog(self) -> int:
@@ -185,8 +192,8 @@ class MapKeeper:
         """Why the map is not kept up to date; None when it is."""
         if not self._warm and self.worker.trouble() is None:
             return "the numerical kernels are being compiled"
-        if self._restoring and self.worker.trouble() is None:
-            return f"the map is being restored, {self._integrated} scans are in it"
+        if (tail := self._tail) is not None and self.worker.trouble() is None:
+            return tail.trouble or f"the map is being restored, {self._integrated} scans are in it"
         return self.worker.trouble()
 
     def offer(self, batch: Batch) -> None:
@@ -234,6 +241,8 @@ class MapKeeper:
         if not self._warm:
             warm_up(self._config)
             self._warm = True
+            with self._changed:
+                self._changed.wait_for(lambda: self._begun or self._stopping)
         if not self._wait():
             self._give_up_flushes()
             return False
@@ -244,13 +253,13 @@ class MapKeeper:
             news = MapChanged(swap.snapshot.version, swap.snapshot.changed_bounds)
             self._events.publish(news)
         self._settle({} if swap is None else swap.turns)
-        if self._saver is not None and not self._restoring:
+        if self._saver is not None and not self.restoring:
             self._saver.offer(self._mapper, self._position - len(self._current))
         return True
 
     def save(self) -> None:
         """Save the map once its thread has ended."""
-        if self._saver is not None and not self._restoring and not self.worker.is_alive():
+        if self._saver is not None and not self.restoring and not self.worker.is_alive():
             self._saver.save_now(self._mapper, self._position - len(self._current))
 
     def _wait(self) -> bool:
@@ -260,7 +269,7 @@ class MapKeeper:
                 lambda: (
                     self._stopping
                     or self._poked
-                    or self._restoring
+                    or self.restoring
                     or bool(self._current or self._batches)
                 ),
                 timeout=self._seconds_to_wait(),
@@ -269,13 +278,13 @@ class MapKeeper:
             if self._stopping:
                 return False
             # All that waits: a step of training after each batch would be one after each scan.
-            room = 0 if self._current or self._restoring else _TAIL_SCANS
+            room = 0 if self._current or self.restoring else _TAIL_SCANS
             while self._batches and len(self._current) < room:
                 batch = self._batches.popleft()
                 self._current.extend(batch.records)
                 self._current_ticket, self._position = batch.ticket, batch.position
-        if not self._current and self._restoring:
-            self._read_tail()
+        if not self._current and self._tail is not None:
+            self._read_tail(self._tail)
         return True
 
     def _seconds_to_wait(self) -> float | None:
@@ -284,22 +293,16 @@ class MapKeeper:
         save_s = None if self._saver is None else self._saver.seconds_to_save()
         return min((s for s in (swap_s, look_s, save_s) if s is not None), default=None)
 
-    def _read_tail(self) -> None:
+    def _read_tail(self, tail: Tail) -> None:
         """Take some scans from the journal; at its end the map is restored when it is trained."""
-        for stored in islice(self._tail, _TAIL_SCANS):
-            self._position = stored.position
-            scan = wire.decode(stored.payload, max_beams=UNLIMITED_BEAMS)
-            self._current.append(
-                ScanRecord(
-                    stored.robot, stored.sensor, stored.payload, stored.received_unix_s, scan
-                )
-            )
+        self._current.extend(tail.take(_TAIL_SCANS))
+        self._position = tail.position
         if self._current:
             self._backlog += len(self._current)
-        elif self._training.idle:
+        elif tail.trouble is None and self._training.idle:
             logger.info("the map is restored: scans=%d", self._integrated)
-            self._restoring = False
-            if self._saver is not None and self._position > self._resumed_at:
+            self._tail = None
+            if self._saver is not None and tail.held_any:
                 self._saver.hurry()
         else:
             time.sleep(_SLICE_S)
@@ -325,18 +328,25 @@ class MapKeeper:
                 self._changed.notify_all()
 
     def _integrate_one(self, record: ScanRecord) -> None:
+        if record.withheld is not None:
+            self._refuse(record, record.withheld)
+            return
         try:
             with self._metrics.update_seconds.time():
                 report = self._mapper.update(record.scan)
         except InvalidScanError as error:
-            self._metrics.scans_refused.labels(error.reason).inc()
+            self._refuse(record, error.reason)
             logger.debug("scan of %s not integrated: %s", record.robot, error)
         except Exception:
-            self._metrics.scans_refused.labels("internal_error").inc()
+            self._refuse(record, "internal_error")
             logger.exception("scan %d of %s broke the mapper", record.scan.seq, record.robot)
         else:
             self._integrated += 1
             self._metrics.observations_new.inc(report.new_observations)
+
+    def _refuse(self, record: ScanRecord, reason: str) -> None:
+        self._metrics.scans_refused.labels(reason).inc()
+        self._fleet.refused_scans(record.robot, reason)
 
     def _publish(self) -> None:
         self.state = MapState(

@@ -1,4 +1,8 @@
-"""The life of the process: bind, start, announce, serve until a signal, stop within seconds."""
+"""The life of the process: bind, answer, start, announce, serve until a signal, stop in seconds.
+
+HTTP answers from the beginning, so that whoever watches a start sees how far it is; all but the
+state of the service is 503 until it has started.
+"""
 
 import asyncio
 import logging
@@ -8,7 +12,7 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 import uvicorn
@@ -63,7 +67,7 @@ async def _serve(
     service: MapService = app.state.service
     config = uvicorn.Config(
         app,
-        lifespan="off",  # it is entered here, so that what it raises arrives as it is
+        lifespan="off",  # it would hold all answers back until the service has started
         log_config=None,
         access_log=False,
         timeout_graceful_shutdown=_GRACE_S,
@@ -72,15 +76,49 @@ async def _serve(
         ssl_keyfile=settings.http.tls_key,
     )
 
-    def announce_all() -> None:
-        zenoh = ",".join(service.endpoints) or "none"
-        http = _url(listener, settings.http)
-        announce(f"gpom: listening http={http} zenoh={zenoh} prefix={settings.zenoh.prefix}")
-
-    async with app.router.lifespan_context(app):
-        server = _Server(config, on_started=announce_all, on_stopping=service.hang_up)
-        await server.serve(sockets=[listener])
+    server = _Server(config, on_stopping=service.hang_up)
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
+    starting = _in_thread(service.start)
+    try:
+        await asyncio.wait({serving, starting}, return_when=asyncio.FIRST_COMPLETED)
+        if starting.done():
+            starting.result()
+            zenoh = ",".join(service.endpoints) or "none"
+            http = _url(listener, settings.http)
+            announce(f"gpom: listening http={http} zenoh={zenoh} prefix={settings.zenoh.prefix}")
+        await serving
+    finally:
+        server.should_exit = True
+        await serving
         logger.info("stopping")
+        if starting.done() and starting.exception() is None:
+            await asyncio.to_thread(service.stop)
+
+
+def _in_thread(call: Callable[[], None]) -> "asyncio.Future[None]":
+    """Run something in a thread that `leave` does not wait for."""
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def tell(error: BaseException | None) -> None:
+        if done.cancelled():
+            return
+        if error is None:
+            done.set_result(None)
+        else:
+            done.set_exception(error)
+
+    def run() -> None:
+        error = None
+        try:
+            call()
+        except BaseException as caught:  # noqa: BLE001 - raised where the future is awaited
+            error = caught
+        with suppress(RuntimeError):  # the loop has ended: nobody wants to know
+            loop.call_soon_threadsafe(tell, error)
+
+    threading.Thread(target=run, name="gpom-start", daemon=True).start()
+    return done
 
 
 class _Server(uvicorn.Server):
@@ -90,16 +128,10 @@ class _Server(uvicorn.Server):
         self,
         config: uvicorn.Config,
         *,
-        on_started: Callable[[], None],
         on_stopping: Callable[[], None],
     ) -> None:
         super().__init__(config)
-        self._on_started = on_started
         self._on_stopping = on_stopping
-
-    async def startup(self, sockets: Sequence[socket.socket] | None = None) -> None:
-        await super().startup(None if sockets is None else list(sockets))
-        self._on_started()
 
     async def shutdown(self, sockets: Sequence[socket.socket] | None = None) -> None:
         self._on_stopping()

@@ -143,7 +143,9 @@ class IngestSettings(_Section):
     queue_bytes_max: int = Field(128 * 2**20, ge=1024, description="of the same")
     batch_scans_max: int = Field(256, ge=1, description="stored in one commit")
     backlog_scans_max: int = Field(1024, ge=1, description="stored, not yet in the map")
-    beams_max: int = Field(65_536, ge=1, description="a scan with more is refused")
+    beams_max: int = Field(
+        65_536, ge=1, description="a scan with more is stored, but stays out of the map"
+    )
     robots_max: int = Field(1000, ge=1, description="scans of further robots are refused")
 
 

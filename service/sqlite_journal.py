@@ -5,43 +5,48 @@ a new file appears under its name only when it is complete, so an empty one is d
 """
 
 import logging
-import os
 import sqlite3
 import threading
-import uuid
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+from gpom_core.scan import Pose2D
 from service.errors import JournalError
+from service.fleet import RobotStatus
 from service.journal import ScanRecord, StoredScan
+from service.journal_schema import check_format, create, upgrade
 from service.sequences import Cursor, SensorKey
 from service.settings import JournalSettings
 
 logger = logging.getLogger(__name__)
 
-FORMAT = 1
-_APPLICATION_ID = 0x47504F4D  # "GPOM"
 _CHECKED_WHOLE_BYTES = 512 * 2**20  # a larger file is not read through at every start
 _DELETED_AT_ONCE = 1024
 _PAGE_READ = 500
 _SIGN = 1 << 64  # SQLite's integers are signed
 
-_SCHEMA = """
-PRAGMA page_size = 8192;
-PRAGMA auto_vacuum = NONE;
-CREATE TABLE identity (id TEXT NOT NULL);
-CREATE TABLE streams (
-  stream INTEGER PRIMARY KEY, robot TEXT NOT NULL, sensor TEXT NOT NULL,
-  boot INTEGER NOT NULL, seq INTEGER NOT NULL, UNIQUE (robot, sensor)
-);
-CREATE TABLE scans (
-  position INTEGER PRIMARY KEY, stream INTEGER NOT NULL, boot INTEGER NOT NULL,
-  seq INTEGER NOT NULL, received_unix_s REAL NOT NULL, payload BLOB NOT NULL
-);
-CREATE UNIQUE INDEX once ON scans (stream, boot, seq) WHERE seq > 0;
-CREATE TABLE pulse (id INTEGER PRIMARY KEY CHECK (id = 1), count INTEGER NOT NULL);
-INSERT INTO pulse VALUES (1, 0);
-"""
+
+@dataclass(slots=True)
+class _News:
+    """What a batch changes in the row of a stream."""
+
+    last: ScanRecord
+    boot: int | None = None
+    seq: int | None = None
+    scans: int = 0
+    lost: int = 0
+
+    def add(self, record: ScanRecord) -> None:
+        if record.scan.seq:
+            self.boot, self.seq = _signed(record.boot), _signed(record.scan.seq)
+        self.scans += 1
+        self.lost += record.lost
+        self.last = record
+
+    def row(self) -> tuple[object, ...]:
+        pose = self.last.scan.pose
+        return (self.boot, self.seq, self.scans, self.lost, self.last.received_unix_s, *pose)
 
 
 class SqliteJournal:
@@ -72,7 +77,7 @@ class SqliteJournal:
         """
         try:
             if not self.path.exists():
-                _create(self.path)
+                create(self.path)
             if self.path.stat().st_size == 0:
                 raise sqlite3.DatabaseError("the file is empty")
             self._db = self._connect()
@@ -106,6 +111,18 @@ class SqliteJournal:
             SensorKey(robot, sensor): Cursor(boot % _SIGN, seq % _SIGN)
             for robot, sensor, boot, seq in rows
         }
+
+    def robots(self) -> Sequence[RobotStatus]:
+        """Give what is known of every robot whose scans were ever stored."""
+        # Beside one max(), SQLite takes the other columns from the row that holds it.
+        rows = self._open().execute(
+            "SELECT robot, sum(scans), sum(lost), max(seen_unix_s), x, y, yaw FROM streams "
+            "WHERE seen_unix_s IS NOT NULL GROUP BY robot"
+        )
+        return [
+            RobotStatus(robot, scans, lost, seen_unix_s, Pose2D(*pose))
+            for robot, scans, lost, seen_unix_s, *pose in rows
+        ]
 
     def replay(self, after: int, until: int) -> Iterator[StoredScan]:
         """Read scans with `after` < position <= `until`, over a connection of its own.
@@ -182,17 +199,12 @@ class SqliteJournal:
 
     def _check(self) -> None:
         db = self._open()
-        (application,) = db.execute("PRAGMA application_id").fetchone()
-        (version,) = db.execute("PRAGMA user_version").fetchone()
-        if application != _APPLICATION_ID:
-            raise JournalError(f"{self.path} is no journal of gpom; move it away or name another")
-        if version != FORMAT:
-            message = f"{self.path} has format {version}; this gpom reads {FORMAT}: use another"
-            raise JournalError(message)
+        check_format(db, self.path)
         if self.path.stat().st_size <= _CHECKED_WHOLE_BYTES:
             (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
             if verdict != "ok":
                 raise sqlite3.DatabaseError(" ".join(verdict.split()))
+        upgrade(db)
         (self.identity,) = db.execute("SELECT id FROM identity").fetchone()
         (self._position,) = db.execute("SELECT ifnull(max(position), 0) FROM scans").fetchone()
         self._streams = {
@@ -204,18 +216,22 @@ class SqliteJournal:
         db.execute("BEGIN IMMEDIATE")
         if not records:
             db.execute("UPDATE pulse SET count = count + 1")
-        streams, cursors = dict(self._streams), {}
+        streams = dict(self._streams)
+        news: dict[int, _News] = {}
         rows = []
         for position, record in enumerate(records, start=self._position + 1):
             key, scan = SensorKey(record.robot, record.sensor), record.scan
             if key not in streams:
                 streams[key] = _new_stream(db, key)
-            boot, seq = _signed(scan.boot), _signed(scan.seq)
+            boot, seq = _signed(record.boot), _signed(scan.seq)
             rows.append((position, streams[key], boot, seq, record.received_unix_s, record.payload))
-            if scan.seq:
-                cursors[streams[key]] = (boot, seq, streams[key])
+            news.setdefault(streams[key], _News(record)).add(record)
         db.executemany("INSERT INTO scans VALUES (?, ?, ?, ?, ?, ?)", rows)
-        db.executemany("UPDATE streams SET boot = ?, seq = ? WHERE stream = ?", cursors.values())
+        db.executemany(
+            "UPDATE streams SET boot = ifnull(?, boot), seq = ifnull(?, seq), scans = scans + ?, "
+            "lost = lost + ?, seen_unix_s = ?, x = ?, y = ?, yaw = ? WHERE stream = ?",
+            [(*what.row(), stream) for stream, what in news.items()],
+        )
         db.execute("COMMIT")
         self._position += len(records)
         self._streams = streams
@@ -264,30 +280,6 @@ class SqliteJournal:
             f"the journal {self.path} does not hold the scan at position {after + 1} any more, and "
             "no checkpoint covers it. Restore the checkpoint files, or move the directory away"
         )
-
-
-def _create(path: Path) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_suffix(f".{uuid.uuid4().hex}.new")
-    db = sqlite3.connect(draft, isolation_level=None)
-    try:
-        db.executescript(_SCHEMA)
-        db.execute(f"PRAGMA application_id = {_APPLICATION_ID}")
-        db.execute(f"PRAGMA user_version = {FORMAT}")
-        db.execute("INSERT INTO identity VALUES (?)", (uuid.uuid4().hex,))
-    finally:
-        db.close()
-    draft.rename(path)
-    sync_directory(path.parent)
-
-
-def sync_directory(path: Path) -> None:
-    """Make renames within a directory durable."""
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _new_stream(db: sqlite3.Connection, key: SensorKey) -> int:

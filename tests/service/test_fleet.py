@@ -13,6 +13,24 @@ def test_scans_add_up() -> None:
     assert fleet.robots()[1] == RobotStatus("b", 2, 3, 101.0, POSE, alive=False)
 
 
+def test_refusals_add_up_by_reason_for_robots_that_are_known() -> None:
+    fleet = Fleet(10)
+    fleet.refused_scans("stranger", "bad_crc")
+    fleet.saw_scan("a", POSE, 0, 1.0)
+    fleet.refused_scans("a", "stale", 2)
+    fleet.refused_scans("a", "stale")
+    fleet.refused_scans("a", "bad_crc")
+    (robot,) = fleet.robots()
+    assert (robot.scans, robot.refused) == (1, {"stale": 3, "bad_crc": 1})
+
+
+def test_of_too_many_the_robots_seen_last_are_remembered() -> None:
+    fleet = Fleet(2)
+    seen = {"a": 5.0, "b": 1.0, "c": 3.0}
+    fleet.restore([RobotStatus(name, 1, 0, unix_s, POSE) for name, unix_s in seen.items()])
+    assert [robot.id for robot in fleet.robots()] == ["a", "c"]
+
+
 def test_presence_is_news_only_when_it_changes() -> None:
     fleet = Fleet(10)
     assert fleet.set_alive("a", False) is None, "nobody goes who never came"

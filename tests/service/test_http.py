@@ -245,6 +245,7 @@ def test_status_of_an_empty_map(client) -> None:
         "observations": 0,
         "robots": [],
         "bounds": None,
+        "experts_out_of_bounds": 0,
     }
 
 
@@ -265,6 +266,7 @@ def test_status_of_a_map(mapped, source) -> None:
     (robot,) = status["robots"]
     assert robot.pop("last_seen") > 1e9
     assert robot.pop("intake") is None, "nothing came without a pose"
+    assert robot.pop("refused") == {"truncated": 1}
     assert robot == {"id": "robot", "scans": 6, "lost": 3, "pose": [1.0, -1.0, 0.0], "alive": True}
 
 
@@ -316,11 +318,43 @@ def test_metrics(mapped) -> None:
     assert all(line.startswith("gpom_") for line in samples)
 
 
+@pytest.mark.parametrize(
+    "path",
+    ["/healthz", "/readyz", "/metrics", "/v1/status", "/v1/query?x=0&y=0", "/v1/experts", "/",
+     "/v1/grid?bbox=-1,-1,1,1", "/v1/tiles/occupancy/4/0/0.png", "/openapi.json",
+     "/v1/query?x=no&y=0", "/nowhere"],
+)  # fmt: skip
+def test_head_is_get_without_the_content(mapped, path) -> None:
+    head, get = mapped.request("HEAD", path), mapped.get(path)
+    assert (head.status_code, head.content) == (get.status_code, b"")
+    assert head.headers["content-type"] == get.headers["content-type"]
+    if path != "/metrics":  # which counts the requests made meanwhile
+        assert head.headers["content-length"] == get.headers["content-length"]
+
+
+def test_head_of_an_endless_stream_ends(mapped) -> None:
+    head = mapped.request("HEAD", "/v1/events")
+    assert (head.status_code, head.content) == (200, b"")
+    assert head.headers["content-type"].startswith("text/event-stream")
+    counted = mapped.get("/metrics").text
+    assert 'gpom_http_requests_total{method="HEAD",route="/v1/events",status="200"} 1.0' in counted
+    assert "gpom_event_clients 0.0" in counted
+
+
+def test_layers_that_are_not_there_are_refused(mapped) -> None:
+    tile = _problem(mapped.get("/v1/tiles/mean/4/0/0.png"), 422)
+    for word in ("layer", "occupancy", "variance", "state"):
+        assert word in tile["detail"]
+    for layer in ("mean", "variance", "known"):
+        nav2 = _problem(mapped.get(f"/v1/grid?format=nav2&layer={layer}"), 422)
+        assert f"layer is {layer}" in nav2["detail"]
+
+
 def test_unknown_paths_and_methods(client) -> None:
     _problem(client.get("/v1/nothing"), 404)
     response = client.request("DELETE", "/v1/query")
     _problem(response, 405)
-    assert response.headers["allow"] == "GET, POST"
+    assert response.headers["allow"] == "GET, HEAD, POST"
 
 
 def test_unexpected_errors(client, monkeypatch) -> None:

@@ -8,7 +8,7 @@ from service.fleet import Fleet
 from service.ingest import Batch, Ingest
 from service.journal import MemoryJournal
 from service.metrics import Metrics
-from service.sequences import Cursor, SensorKey
+from service.sequences import SILENCE_S, Cursor, SensorKey
 from service.settings import IngestSettings
 from tests.service.rooms import payload_at
 
@@ -24,8 +24,12 @@ class Rig:
         self.fleet = Fleet(robots_max=2)
         self.metrics = Metrics()
         self.clock = ManualClock(1000.0)
-        self.ingest = Ingest(
-            IngestSettings(**settings),
+        self.settings = IngestSettings(**settings)
+        self.ingest = self.opened()
+
+    def opened(self) -> Ingest:
+        return Ingest(
+            self.settings,
             journal=self,
             hand_on=lambda batch: self.happened.append(("map", batch)),
             fleet=self.fleet,
@@ -34,6 +38,17 @@ class Rig:
             clock=self.clock,
             acknowledge=lambda cursors: self.happened.append(("ack", dict(cursors))),
         )
+
+    def reopen(self) -> None:
+        """Go on as after a restart, with what the journal knows."""
+        self.ingest = self.opened()
+        self.ingest.resume()
+
+    def cursors(self):
+        return self.journal.cursors()
+
+    def robots(self):
+        return self.journal.robots()
 
     def append(self, records) -> None:
         self.store(records)
@@ -155,11 +170,56 @@ def test_robots_beyond_the_limit_are_refused(rig) -> None:
     assert [robot.id for robot in rig.fleet.robots()] == ["a", "b"]
 
 
-def test_too_many_beams_are_refused(rig) -> None:
+def test_a_scan_with_too_many_beams_is_stored_and_holds_nothing_up(rig) -> None:
     rig = rig(beams_max=10)
-    rig.ingest.on_scan("a", "front", payload_at())
+    payloads = [payload_at(seq=seq, reliable=True) for seq in (1, 2)]
+    for payload in payloads:
+        rig.ingest.on_scan("a", "front", payload)
     rig.run()
-    assert rig.refused("too_many_beams") == 1
+    assert [record.payload for record in rig.journal.records] == payloads
+    assert rig.happened[1] == ("ack", {SensorKey("a", "front"): Cursor(1, 2)})
+    (batch,) = rig.batches()
+    for record in batch.records:
+        assert record.withheld == "too_many_beams"
+        assert (record.payload, len(record.scan.ranges_m)) == (b"", 1), "nothing large waits"
+
+
+def test_refusals_are_told_by_robot_and_reason(rig) -> None:
+    rig = rig()
+    for seq in (1, 1, 2, 1):
+        rig.ingest.on_scan("a", "front", payload_at(seq=seq, boot=9))
+    rig.ingest.on_scan("a", "front", payload_at(seq=1, boot=5))
+    rig.ingest.on_scan("a", "front", b"junk")
+    rig.ingest.on_scan("stranger", "front", b"junk")
+    rig.run()
+    (robot,) = rig.fleet.robots()
+    assert robot.refused == {"stale": 2, "old_run": 1, "truncated": 1}
+
+
+def test_a_robot_whose_clock_went_back_is_heard_again(rig) -> None:
+    rig = rig(batch_scans_max=1)
+    rig.ingest.on_scan("a", "front", payload_at(seq=3, boot=9))
+    rig.run()
+    rig.reopen()
+    rig.clock.advance(SILENCE_S)
+    rig.ingest.on_scan("a", "front", payload_at(seq=1, boot=5))
+    rig.ingest.on_scan("a", "front", payload_at(seq=2, boot=5))
+    rig.run()
+    (robot,) = rig.fleet.robots()
+    assert (robot.scans, robot.lost, robot.refused) == (3, 0, {})
+    assert [record.boot for record in rig.journal.records] == [9, 10, 10]
+
+
+def test_robots_are_known_again_after_a_restart(rig) -> None:
+    rig = rig()
+    for seq in (1, 2, 5):
+        rig.ingest.on_scan("a", "front", payload_at(1.0, 0.5, seq=seq))
+    rig.run()
+    before = rig.fleet.robots()
+    rig.fleet = Fleet(robots_max=2)
+    rig.reopen()
+    assert rig.fleet.robots() == before
+    assert (before[0].scans, before[0].lost, before[0].pose) == (3, 2, (1.0, 0.5, 0.0))
 
 
 def test_the_thread_survives_what_nobody_thought_of(rig) -> None:

@@ -9,6 +9,7 @@ from gpom_core.mapper import Mapper
 from service.clock import SystemClock
 from service.errors import StoppingError
 from service.events import EventBus
+from service.fleet import Fleet
 from service.ingest import Batch
 from service.journal import ScanRecord
 from service.mapping import MapKeeper
@@ -29,9 +30,11 @@ class Rig:
             ingest=IngestSettings(**ingest),
             training=TrainingSettings(workers=1),
             events=EventBus(1),
+            fleet=Fleet(1),
             metrics=self.metrics,
             clock=SystemClock(),
         )
+        self.keeper.begin()
         self.ticket = 0
 
     def offer(self, *scans) -> int:

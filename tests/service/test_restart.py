@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import sqlite3
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +17,7 @@ from service.clock import SystemClock
 from service.errors import JournalError, MapFileError, NotReadyError
 from service.map_service import MapService, Ports
 from service.sequences import Cursor
-from service.settings import JournalSettings, Settings
+from service.settings import IngestSettings, JournalSettings, Settings
 from service.source import MemorySource
 from tests.service.rooms import payload_at
 
@@ -115,6 +117,34 @@ def test_checkpoint_and_tail_make_the_map(house) -> None:
     assert house.acks == {("robot", "front"): Cursor(1, 25)}
 
 
+def test_robots_are_what_they_were(house) -> None:
+    house.drive(1, 12)
+    before = house.service.fleet.robots()
+    house.crash()
+    service = house.start()
+    assert service.fleet.robots() == before
+    assert service.scans_received == 12
+    house.drive(13, 13)
+    (robot,) = service.fleet.robots()
+    assert (robot.scans, robot.lost) == (13, 0)
+
+
+def test_scans_over_a_limit_stay_out_of_the_map_until_it_is_raised(house) -> None:
+    house.drive(1, 2)
+    house.service.stop()
+    house.settings = house.settings.model_copy(update={"ingest": IngestSettings(beams_max=10)})
+    house.start()
+    house.drive(3, 4)
+    assert house.acks == {("robot", "front"): Cursor(1, 4)}
+    house.crash()
+    service = house.start()
+    assert service.state.scans_integrated == 2
+    assert service.fleet.robots()[0].refused == {"too_many_beams": 2}
+    house.crash()
+    house.settings = house.settings.model_copy(update={"ingest": IngestSettings()})
+    assert house.start().state.scans_integrated == 4, "they are in the journal"
+
+
 def test_the_map_is_saved_while_it_runs(house) -> None:
     house.service.stop()
     house.settings = house.settings.model_copy(
@@ -158,7 +188,7 @@ def test_one_directory_has_one_owner(house) -> None:
 def test_nothing_is_answered_while_the_map_is_restored(house, monkeypatch) -> None:
     house.drive(1, 10)
     house.crash()
-    monkeypatch.setattr("service.mapping.MapKeeper._read_tail", lambda self: time.sleep(0.01))
+    monkeypatch.setattr("service.mapping.MapKeeper._read_tail", lambda *_: time.sleep(0.01))
     source = MemorySource()
     archive = Archive(house.directory, JournalSettings(), MapConfig(), SystemClock())
     service = MapService(house.settings, Ports(source, archive=archive))
@@ -171,6 +201,64 @@ def test_nothing_is_answered_while_the_map_is_restored(house, monkeypatch) -> No
         assert json.loads(reply.body)["status"] == 503
         assert b"gpom_backlog_scans" in service.metrics.exposition()
     finally:
+        service.stop()
+
+
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        ("DELETE FROM scans WHERE position = 5", "position 5"),
+        ("UPDATE scans SET payload = zeroblob(200) WHERE position = 5", "GPOM"),
+    ],
+)
+def test_a_map_whose_scans_cannot_be_read_is_never_said_to_be_restored(house, harm, told) -> None:
+    house.drive(1, 10)
+    house.crash()
+    db = sqlite3.connect(house.directory / "journal.sqlite")
+    db.execute(harm)
+    db.commit()
+    db.close()
+    archive = Archive(house.directory, JournalSettings(), MapConfig(), SystemClock())
+    service = MapService(house.settings, Ports(MemorySource(), archive=archive))
+    service.start()
+    try:
+        house.until(lambda: any("cannot be restored" in trouble for trouble in service.troubles()))
+        time.sleep(0.3)
+        (trouble,) = service.troubles()
+        assert told in trouble
+        with pytest.raises(NotReadyError, match="cannot be restored"):
+            _ = service.state
+    finally:
+        service.stop()
+    assert not list(house.directory.glob("checkpoint-*")), "half a map is not saved"
+
+
+def test_it_answers_while_a_checkpoint_is_loaded(house, monkeypatch) -> None:
+    house.drive(1, 3)
+    house.service.stop()
+    loading = threading.Event()
+    load = Archive.load
+
+    def slowly(self, executor):
+        assert loading.wait(30.0)
+        return load(self, executor)
+
+    monkeypatch.setattr(Archive, "load", slowly)
+    archive = Archive(house.directory, JournalSettings(), MapConfig(), SystemClock())
+    service = MapService(house.settings, Ports(MemorySource(), archive=archive))
+    starter = threading.Thread(target=service.start)
+    starter.start()
+    try:
+        house.until(lambda: "restored from checkpoint-" in service.troubles()[0])
+        with pytest.raises(NotReadyError, match=r"restored from checkpoint-0+3\.gpom, \d+ MB"):
+            _ = service.state
+        assert b"gpom_journal_position 3" in service.metrics.exposition()
+        loading.set()
+        house.until(lambda: not service.troubles())
+        assert service.state.scans_integrated == 3
+    finally:
+        loading.set()
+        starter.join()
         service.stop()
 
 

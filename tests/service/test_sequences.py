@@ -1,14 +1,16 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.sequences import Cursor, SensorKey, SequenceBook, Verdict
+from service.sequences import SILENCE_S, Cursor, SensorKey, SequenceBook, Verdict
 from tests.service.rooms import scan_at
 
 KEY = SensorKey("robot", "front")
 
 
-def _judge(book: SequenceBook, *numbers: tuple[int, int]) -> list[tuple[Verdict, int]]:
-    admission = book.begin()
+def _judge(
+    book: SequenceBook, *numbers: tuple[int, int], now_s: float = 0.0
+) -> list[tuple[Verdict, int]]:
+    admission = book.begin(now_s)
     judged = [admission.judge(KEY, scan_at(boot=boot, seq=seq)) for boot, seq in numbers]
     admission.commit()
     return [(judgement.verdict, judgement.lost) for judgement in judged]
@@ -26,7 +28,33 @@ def test_gaps_are_counted_and_repeats_are_stale() -> None:
 
 def test_a_new_run_starts_at_one_and_ends_the_old_one() -> None:
     judged = _judge(SequenceBook(), (1, 9), (2, 3), (1, 10))
-    assert judged == [(Verdict.NEW, 0), (Verdict.NEW, 2), (Verdict.STALE, 0)]
+    assert judged == [(Verdict.NEW, 0), (Verdict.NEW, 2), (Verdict.OLD_RUN, 0)]
+
+
+def test_a_clock_set_back_is_followed_once_the_last_run_is_silent() -> None:
+    book = SequenceBook()
+    new, old = (Verdict.NEW, 0), (Verdict.OLD_RUN, 0)
+    assert _judge(book, (100, 7)) == [new]
+    assert _judge(book, (50, 1), (50, 2), now_s=SILENCE_S - 0.1) == [old, old]
+    assert _judge(book, (50, 4), (50, 5), now_s=SILENCE_S) == [new, new]
+    assert book.cursor(KEY) == Cursor(101, 5), "the runs stay in order"
+    assert _judge(book, (100, 8), (50, 5), now_s=SILENCE_S) == [old, (Verdict.STALE, 0)]
+    assert _judge(book, (50, 7), (100, 9), now_s=2 * SILENCE_S) == [(Verdict.NEW, 1), old]
+    assert _judge(book, (200, 1), (50, 8), now_s=2 * SILENCE_S) == [new, old]
+
+
+def test_what_was_heard_before_the_service_counts_as_heard_at_its_start() -> None:
+    book = SequenceBook({KEY: Cursor(100, 7)}, now_s=1000.0)
+    assert _judge(book, (50, 1), now_s=1001.0) == [(Verdict.OLD_RUN, 0)]
+    assert _judge(book, (100, 9), now_s=1001.0) == [(Verdict.NEW, 1)]
+    assert _judge(book, (50, 2), now_s=1001.0 + SILENCE_S) == [(Verdict.NEW, 0)]
+    assert book.cursor(KEY) == Cursor(101, 2)
+
+
+def test_a_repeat_never_becomes_a_new_run() -> None:
+    book = SequenceBook()
+    _judge(book, (1, 9))
+    assert _judge(book, (1, 9), (1, 3), now_s=1e6) == [(Verdict.STALE, 0)] * 2
 
 
 def test_unnumbered_scans_are_always_new() -> None:

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 import httpx
 
 from service.points import JSON
+from tests.faults.parts import free_port
 from tests.service.fleet_link import open_session
 from tests.service.rooms import payload_at
 
@@ -143,6 +144,70 @@ def test_from_robot_to_events_and_answers() -> None:
         assert json.loads(reply.ok.payload.to_bytes()) == by_http
         code, _, errors = process.end(signal.SIGTERM)
         assert code == 0, errors
+
+
+def test_it_answers_before_it_has_started(tmp_path) -> None:
+    """The start is held up until somebody writes to the process."""
+    data = tmp_path / "data"
+    with _running("--data-dir", str(data)) as process:
+        process.wait_until_ready()
+        process.end(signal.SIGTERM)
+    port = free_port()
+    hold = (
+        "import sys, time, typer; from service import archive; from service.cli import serve; "
+        "load = archive.Archive.load; "
+        "archive.Archive.load = lambda *a: (sys.stdin.readline(), load(*a))[1]; typer.run(serve)"
+    )
+    flags = ("--port", str(port), "--zenoh-listen", "", "--data-dir", str(data))
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, *flags], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as child:
+        try:
+            url = f"http://127.0.0.1:{port}"
+            end_s = time.monotonic() + 60.0
+            while True:
+                assert time.monotonic() < end_s
+                with suppress(httpx.TransportError):
+                    if "being restored" in httpx.get(f"{url}/readyz").text:
+                        break
+                time.sleep(0.05)
+            assert httpx.get(f"{url}/healthz").is_success
+            assert httpx.get(f"{url}/metrics").is_success
+            for path in ("/readyz", "/v1/status", "/v1/query?x=0&y=0", "/v1/events"):
+                reply = httpx.get(f"{url}{path}")
+                assert (reply.status_code, reply.headers["retry-after"]) == (503, "1"), path
+                assert "being restored" in reply.json()["detail"]
+            child.stdin.write(b"\n")
+            child.stdin.flush()
+            assert child.stdout.readline().startswith(b"gpom: listening")
+            assert httpx.get(f"{url}/v1/status").status_code in {200, 503}
+        finally:
+            child.send_signal(signal.SIGTERM)
+            assert child.wait(20.0) == 0
+
+
+def test_a_signal_ends_a_start_that_takes_long(tmp_path) -> None:
+    hold = (
+        "import time, typer; from service import archive; from service.cli import serve; "
+        "archive.Archive.load = lambda *a: time.sleep(600.0); typer.run(serve)"
+    )
+    port = free_port()
+    flags = ("--port", str(port), "--zenoh-listen", "", "--data-dir", str(tmp_path / "data"))
+    with subprocess.Popen([sys.executable, "-c", hold, *flags]) as child:
+        try:
+            end_s = time.monotonic() + 60.0
+            while True:
+                assert time.monotonic() < end_s
+                with suppress(httpx.TransportError):
+                    if httpx.get(f"http://127.0.0.1:{port}/healthz").is_success:
+                        break
+                time.sleep(0.05)
+            start_s = time.monotonic()
+            child.send_signal(signal.SIGTERM)
+            assert child.wait(20.0) == 0
+            assert time.monotonic() - start_s < 10.0
+        finally:
+            child.kill()
 
 
 def test_a_taken_http_port_is_one_clear_line() -> None:

@@ -10,7 +10,9 @@ from pathlib import Path
 import pytest
 
 from gpom_core import wire
+from gpom_core.scan import Pose2D
 from service.errors import JournalError
+from service.fleet import RobotStatus
 from service.journal import ScanRecord
 from service.sequences import Cursor, SensorKey
 from service.settings import JournalSettings
@@ -18,9 +20,18 @@ from service.sqlite_journal import SqliteJournal
 from tests.service.rooms import payload_at
 
 
-def record(seq: int = 1, *, robot: str = "r", boot: int = 1, **fields) -> ScanRecord:
+def record(
+    seq: int = 1,
+    *,
+    robot: str = "r",
+    sensor: str = "front",
+    boot: int = 1,
+    unix_s: float = 1000.5,
+    lost: int = 0,
+    **fields,
+) -> ScanRecord:
     payload = payload_at(seq=seq, boot=boot, **fields)
-    return ScanRecord(robot, "front", payload, 1000.5, wire.decode(payload))
+    return ScanRecord(robot, sensor, payload, unix_s, wire.decode(payload), boot, lost)
 
 
 @pytest.fixture
@@ -159,6 +170,45 @@ def test_other_files_and_formats_are_refused(path) -> None:
     db.close()
     with pytest.raises(JournalError, match="format 9"):
         opened(path)
+
+
+def test_robots_are_known_after_reopening(path) -> None:
+    journal = opened(path)
+    journal.append([record(1, x=0.5), record(4, x=1.0, unix_s=1002.0, lost=2)])
+    journal.append([record(0, sensor="rear", x=2.0, unix_s=1003.0), record(1, robot="other")])
+    journal.append([record(1, boot=2, x=1.5, unix_s=1001.0)])
+    journal.close()
+    journal = opened(path)
+    other, robot = sorted(journal.robots(), key=lambda robot: robot.id)
+    assert robot == RobotStatus("r", 4, 2, 1003.0, Pose2D(2.0, 0.0, 0.0))
+    assert (other.id, other.scans) == ("other", 1)
+    assert set(journal.cursors()) == {("r", "front"), ("other", "front")}, "rear is not numbered"
+    journal.close()
+
+
+_FORMAT_1 = """
+DROP TABLE streams;
+CREATE TABLE streams (
+  stream INTEGER PRIMARY KEY, robot TEXT NOT NULL, sensor TEXT NOT NULL,
+  boot INTEGER NOT NULL, seq INTEGER NOT NULL, UNIQUE (robot, sensor)
+);
+INSERT INTO streams VALUES (1, 'r', 'front', 1, 2);
+PRAGMA user_version = 1;
+"""
+
+
+def test_a_journal_of_the_first_format_is_brought_to_the_newest(path) -> None:
+    journal = opened(path)
+    journal.append([record(1), record(2, x=0.5)])
+    journal.close()
+    db = sqlite3.connect(path)
+    db.executescript(_FORMAT_1)
+    db.close()
+    for _ in range(2):
+        journal = opened(path)
+        assert journal.robots() == [RobotStatus("r", 2, 0, 1000.5, Pose2D(0.5, 0.0, 0.0))]
+        assert journal.cursors() == {SensorKey("r", "front"): Cursor(1, 2)}
+        journal.close()
 
 
 def test_a_file_that_goes_away_is_not_made_anew(path) -> None:
