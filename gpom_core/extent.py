@@ -37,7 +37,8 @@ def in_main_places(bounds: Sequence[Bounds], weights: Sequence[int]) -> NDArray[
     place_of = _places(set(cells))
     places = np.array([place_of[cell] for cell in cells], np.int64)
     shares = np.bincount(places, np.asarray(weights, np.float64))
-    return shares[places] >= min(SHARE_MIN * shares.sum(), shares.max(initial=0.0))
+    least = min(SHARE_MIN * float(shares.sum()), float(shares.max(initial=0.0)))
+    return np.asarray(shares[places] >= least)
 
 
 def _places(cells: set[_Cell]) -> dict[_Cell, int]:

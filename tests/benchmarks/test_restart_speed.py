@@ -19,7 +19,7 @@ import httpx
 import pytest
 
 from tests.benchmarks.record import Figures, record, rounded
-from tests.faults.parts import Service
+from tests.faults.parts import Service, processor_s
 
 COMMAND = "make bench, or pytest tests/benchmarks/test_restart_speed.py -m benchmark -s"
 STARTS = 3
@@ -39,25 +39,21 @@ def replay(service: Service, log: Path, robot: str) -> None:
     subprocess.run([*command, "--connect", service.endpoint], check=True, timeout=1200)
 
 
-def processor_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
 def start(service: Service) -> Start:
-    began_s = time.perf_counter()
-    service.start()
-    answered_s = None
-    while True:
-        time.sleep(0.01)
-        try:
-            reply = httpx.get(f"{service.http}/readyz", timeout=60.0)
-        except httpx.TransportError:
-            continue
-        now_s = time.perf_counter() - began_s
-        answered_s = answered_s or now_s
-        if reply.is_success:
-            return Start(answered_s, now_s, processor_s(service.process.pid))
+    with httpx.Client(base_url=service.http, timeout=60.0) as client:
+        began_s = time.perf_counter()
+        service.start()
+        answered_s = None
+        while True:
+            time.sleep(0.02)
+            try:
+                reply = client.get("/readyz")
+            except httpx.TransportError:
+                continue
+            now_s = time.perf_counter() - began_s
+            answered_s = answered_s or now_s
+            if reply.is_success:
+                return Start(answered_s, now_s, processor_s(service.process.pid))
 
 
 def end(service: Service, number: int) -> None:

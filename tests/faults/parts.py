@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import httpx
 
 from clients.outbox import OutboxSettings
 from clients.publisher import ScanPublisher
+from gpom_core.scan import Scan
 from gpom_core.wire import decode
 from tests.service.rooms import scan_at
 
@@ -36,6 +37,12 @@ def until(condition: Callable[[], bool], timeout_s: float, what: str) -> float:
         assert time.monotonic() - start < timeout_s, f"not in {timeout_s} s: {what}"
         time.sleep(0.02)
     return time.monotonic() - start
+
+
+def processor_s(pid: int) -> float:
+    """Processor time that a process took so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 class Part:
@@ -162,9 +169,19 @@ class Router(Part):
 
 
 class Robot:
-    """A robot that publishes at a rate in a thread; every scan has its number as its stamp."""
+    """A robot that publishes at a rate in a thread; every scan has its number as its stamp.
 
-    def __init__(self, name: str, endpoint: str, rate_hz: float, **outbox: object) -> None:
+    It stands still, or sends `scans` over and over.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        endpoint: str,
+        rate_hz: float,
+        scans: Sequence[Scan] = (),
+        **outbox: object,
+    ) -> None:
         self.name = name
         self.produced = 0
         self.durable: list[int] = []
@@ -176,7 +193,7 @@ class Robot:
             outbox=OutboxSettings(**{"scans_max": 100_000, **outbox}),
             on_durable=self.durable.append,
         )
-        self._scan = scan_at(0.2, 0.1)
+        self._scans = scans or [scan_at(0.2, 0.1)]
         self._thread = threading.Thread(target=self._drive)
 
     def start(self) -> None:
@@ -201,7 +218,8 @@ class Robot:
     def _drive(self) -> None:
         due = time.monotonic()
         while not self._stop.is_set():
-            self._publisher.publish(replace(self._scan, stamp_ns=self.produced + 1))
+            scan = self._scans[self.produced % len(self._scans)]
+            self._publisher.publish(replace(scan, stamp_ns=self.produced + 1))
             self.produced += 1
             due = max(due + self._period_s, time.monotonic() - 0.1)
             self._stop.wait(max(0.0, due - time.monotonic()))
