@@ -264,6 +264,7 @@ class MapService:
             query.reply(self._refuse(error))
 
     def _answer(self, query: RemoteQuery) -> RemoteReply:
+        start_s = self._ports.clock.monotonic_s()
         try:
             # zenoh calls bytes of no stated type application/octet-stream or zenoh/bytes.
             request = read_request(query.body, query.media_type, query.fusion)
@@ -271,6 +272,7 @@ class MapService:
             points_max = self.settings.http.query_points_max
             prediction = predict(snapshot, request, points_max, self.queries.check)
             body = write_answer(prediction, snapshot.version, query.media_type)
+            self.metrics.remote_seconds.observe(self._ports.clock.monotonic_s() - start_s)
         except GpomError as error:
             return self._refuse(error)
         except Exception as error:  # the asker must not wait for its timeout

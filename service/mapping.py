@@ -343,6 +343,9 @@ class MapKeeper:
         else:
             self._integrated += 1
             self._metrics.observations_new.inc(report.new_observations)
+            if not self.restoring:
+                lag_s = self._clock.unix_s() - record.received_unix_s
+                self._metrics.lag_seconds.observe(max(0.0, lag_s))
 
     def _refuse(self, record: ScanRecord, reason: str) -> None:
         self._metrics.scans_refused.labels(reason).inc()

@@ -38,6 +38,9 @@ class Metrics:
         self.remote_queries = self._counter(
             "gpom_remote_queries", "queries over zenoh, by outcome", "outcome"
         )
+        self.remote_seconds = self._seconds(
+            "gpom_remote_query_seconds", "time to answer a query over zenoh, once its turn came"
+        )
         self.http_requests = self._counter(
             "gpom_http_requests", "HTTP requests", "route", "method", "status"
         )
@@ -52,6 +55,9 @@ class Metrics:
         )
         self.update_seconds = self._seconds(
             "gpom_scan_integration_seconds", "time to integrate one scan"
+        )
+        self.lag_seconds = self._seconds(
+            "gpom_scan_lag_seconds", "from the arrival of a scan to its evidence being in the map"
         )
         self.train_seconds = self._seconds("gpom_expert_training_seconds", "time of one job")
         self.swap_seconds = self._seconds(

@@ -311,6 +311,7 @@ def test_metrics(mapped) -> None:
     text = mapped.get("/metrics").text
     assert "gpom_scans_integrated_total 5.0" in text
     assert "gpom_scans_received_total 5.0" in text
+    assert "gpom_scan_lag_seconds_count 5.0" in text
     request = 'gpom_http_requests_total{method="GET",route="/v1/query",status="200"} 1.0'
     assert request in text
     assert 'route="none",status="404"' in text
