@@ -10,7 +10,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 .DEFAULT_GOAL := help
 SOAK_S ?= 1800
-.PHONY: help setup demo test check format bench fault-test fuzz soak browser container-test clean
+.PHONY: help setup demo test check format bench fault-test fuzz soak audit browser container-test clean
 
 help: ## list the targets
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## /  make \1\t/' | expand -t 16
@@ -57,6 +57,12 @@ fuzz: setup ## a million inputs from a coverage-guided fuzzer for the decoder of
 
 soak: setup ## 30 minutes of steady load; SOAK_S=… seconds. Memory, files and threads stay flat
 	@PYTHONPATH=. $(BIN)/python -m tests.soak.steady $(SOAK_S)
+
+audit: setup ## what the service runs on and its licences, then known vulnerabilities (needs PyPI itself)
+	@$(BIN)/python tests/audit/licences.py
+	@test -x .audit/bin/pip-audit || { $(PYTHON) -m venv .audit && \
+		.audit/bin/python -m pip install --quiet --disable-pip-version-check pip-audit; }
+	@.audit/bin/pip-audit --strict --no-deps --disable-pip --requirement constraints.txt
 
 browser: ## install Chromium for the tests of the live map (Debian, root); else they are skipped
 	@apt-get update -qq && DEBIAN_FRONTEND=noninteractive apt-get install -qq -y \
