@@ -179,7 +179,9 @@ class MapService:
         self._starting = f"the journal in {archive.directory} is being opened"
         archive.open()
         self._starting = f"the map is being restored from {archive.newest()}"
-        mapper, position = archive.load(self._pool)
+        # Not in the pool for training, which gives way to others: nobody is served meanwhile.
+        with ThreadPoolExecutor(self.settings.training.workers, "gpom-load") as pool:
+            mapper, position = archive.load(pool)
         self._saver = Saver(
             archive.save,
             position,

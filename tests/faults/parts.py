@@ -88,9 +88,12 @@ class Service(Part):
         command = [sys.executable, "-m", "clients.cli", "serve", "--data-dir", str(self.data)]
         port = self.http.rpartition(":")[2]
         super().__init__([*command, "--port", port, *where, *flags], directory / "service.log")
+        # One client, since making one takes tens of ms; no kept connections, since processes end.
+        limits = httpx.Limits(max_keepalive_connections=0)
+        self._client = httpx.Client(base_url=self.http, timeout=10.0, limits=limits)
 
     def get(self, path: str) -> httpx.Response:
-        return httpx.get(self.http + path, timeout=10.0)
+        return self._client.get(path)
 
     def status(self) -> dict:
         return self.get("/v1/status").json()
@@ -106,7 +109,8 @@ class Service(Part):
         return until(self.is_ready, timeout_s, f"ready; see {self.log.read_text()[-2000:]}")
 
     def flush(self) -> dict:
-        reply = httpx.post(self.http + "/v1/flush", json={"timeout_s": 500.0}, timeout=510.0)
+        wanted = {"timeout_s": 500.0}
+        reply = self._client.post("/v1/flush", json=wanted, timeout=510.0)
         assert reply.is_success, reply.text
         return reply.json()
 

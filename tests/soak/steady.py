@@ -71,30 +71,42 @@ def summary(samples: list[Sample]) -> Sample:
     return Sample(*(median(values) for values in zip(*samples, strict=True)))
 
 
+def watch(service: Service, duration_s: float) -> tuple[list[Sample], float]:
+    """Ask questions for a while; what the process was like then, and the slowest point query."""
+    samples, slowest_s, chance = [], 0.0, random.Random(1)
+    end = time.monotonic() + duration_s
+    while time.monotonic() < end:
+        start = time.monotonic()
+        x, y = chance.uniform(-3, 27), chance.uniform(-3, 27)
+        assert service.get(f"/v1/query?x={x}&y={y}").is_success
+        slowest_s = max(slowest_s, time.monotonic() - start)
+        box = f"{x},{y},{x + 5.0},{y + 5.0}"
+        assert service.get(f"/v1/grid?bbox={box}&resolution=0.1&format=npy").is_success
+        samples.append(sample(service.process.pid))
+        time.sleep(SAMPLE_S)
+    return samples, slowest_s
+
+
 def main(duration_s: float) -> int:
     with tempfile.TemporaryDirectory() as folder:
         service = Service(Path(folder))
-        service.start()
-        service.wait_ready()
         robots = [Robot(f"robot-{i}", service.endpoint, RATE_HZ, drive(i)) for i in range(ROBOTS)]
-        for robot in robots:
-            robot.start()
-        samples, slowest_s, chance = [], 0.0, random.Random(1)
-        end = time.monotonic() + duration_s
-        while time.monotonic() < end:
-            start = time.monotonic()
-            x, y = chance.uniform(-3, 27), chance.uniform(-3, 27)
-            assert service.get(f"/v1/query?x={x}&y={y}").is_success
-            slowest_s = max(slowest_s, time.monotonic() - start)
-            box = f"{x},{y},{x + 5.0},{y + 5.0}"
-            assert service.get(f"/v1/grid?bbox={box}&resolution=0.1&format=npy").is_success
-            samples.append(sample(service.process.pid))
-            time.sleep(SAMPLE_S)
-        for robot in robots:
-            robot.finish()
-        scans = assert_nothing_lost(service, robots)
-        used_s = processor_s(service.process.pid)
-        service.kill()
+        started: list[Robot] = []
+        try:
+            service.start()
+            service.wait_ready(600.0)
+            for robot in robots:
+                robot.start()
+                started.append(robot)
+            samples, slowest_s = watch(service, duration_s)
+            for robot in robots:
+                robot.finish()
+            scans = assert_nothing_lost(service, robots)
+            used_s = processor_s(service.process.pid)
+        finally:
+            for robot in started:
+                robot.abandon()
+            service.kill()
     fifth = max(1, len(samples) // 5)
     early, late = summary(samples[fifth : 2 * fifth]), summary(samples[-fifth:])
     most = Sample(*(max(values) for values in zip(*samples, strict=True)))
