@@ -1,240 +1,82 @@
-"""Beams into rows: hits onto hit cells, the free part of beams onto free areas or free segments."""
+"""Beams of a scan in the map frame, and their free part into free segments."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.clusters import Clusters, add_hit_moments, touch
+from gpom_core.clusters import Clusters, touch
 from gpom_core.jit import compiled
-from gpom_core.rows import NONE, Rows, add_unindexed, attach, cell_key, detach, find, find_or_add
-from gpom_core.tiles import TILE_CELLS, TILE_SHIFT, Tiles, gap_to_tile, place_in_tile, tile_at
-
-FREE, HIT = 0, 1  # columns of `Tiles.used`
-POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
+from gpom_core.rows import SEGMENT, Rows, attach, cell_key, find_or_add
 
 
-@compiled
-def absorb_hits(
-    xy: NDArray[np.float64],
-    homes: NDArray[np.int32],
-    rows: Rows,
-    tiles: Tiles,
-    clusters: Clusters,
-    hit_cell_m: float,
-    cell_m: float,
-    near_m: float,
-    cap: float,
-) -> int:
-    """Merge hits (n, 2) into their cells; new cells go to the clusters in `homes` (n,).
+class Beams(NamedTuple):
+    """The n beams of a scan that say something, in the map frame, metres.
 
-    A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it.
-    Free areas nearer to a new surface than to any other follow its cluster.
-    The caller has made room for n rows and n tiles. Returns the number of new rows.
+    Attributes:
+        origin: (2,) the sensor.
+        direction: (n, 2) unit.
+        length_m: (n,) to the hit, or as far as the beam is known to be free.
+        returned: (n,) whether there was a hit.
+        hits: (h, 2) ends of the beams that returned, in their order.
+        spacing_m: (h,) distance that one angular step spans at each hit.
     """
-    fresh = 0
-    for i in range(len(xy)):
-        x, y = xy[i, 0], xy[i, 1]
-        key = cell_key(POINT, int(np.floor(x / hit_cell_m)), int(np.floor(y / hit_cell_m)))
-        row, new = find_or_add(rows.slots, rows.keys, rows.size, key, 0)
-        if new:
-            fresh += 1
-            rows.kind[row] = POINT
-            rows.geometry[row, :, 0] = x
-            rows.geometry[row, :, 1] = y
-            rows.near[row] = 0.0
-            attach(rows, clusters.head, clusters.rows, row, homes[i])
-            clusters.fresh[homes[i]] += 1
-            add_hit_moments(clusters, homes[i], x, y)
-            ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
-            tile, place = tile_at(tiles, ix, iy), place_in_tile(ix, iy)
-            if tiles.hit[tile, place] == NONE:
-                tiles.hit[tile, place] = row
-                tiles.used[tile, HIT] += 1
-                _claim_free_areas(row, rows, tiles, clusters, cell_m, near_m)
-        else:
-            homes[i] = rows.owner[row]
-            share = 1.0 / (min(rows.count[row], cap - 1.0) + 1.0)  # a running mean that forgets
-            rows.geometry[row, :, 0] += share * (x - rows.geometry[row, 0, 0])
-            rows.geometry[row, :, 1] += share * (y - rows.geometry[row, 0, 1])
-        touch(rows, clusters, row, 1.0, cap)
-    return fresh
+
+    origin: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    length_m: NDArray[np.float64]
+    returned: NDArray[np.bool_]
+    hits: NDArray[np.float64]
+    spacing_m: NDArray[np.float64]
 
 
 @compiled
-def _claim_free_areas(
-    hit: int, rows: Rows, tiles: Tiles, clusters: Clusters, cell_m: float, near_m: float
-) -> None:
-    """Give the free areas around a new surface to its cluster where it is the nearest."""
-    home = rows.owner[hit]
-    x, y = rows.geometry[hit, 0, 0], rows.geometry[hit, 0, 1]
-    edge = TILE_CELLS * cell_m
-    for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
-        for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
-            gap = gap_to_tile(tx, ty, x, y, cell_m)
-            if gap >= near_m:
-                continue
-            tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
-            # most tiles have surfaces of their own, nearer than this one
-            if tile == NONE or tiles.used[tile, FREE] == 0 or gap >= tiles.far_m[tile]:
-                continue
-            far = 0.0
-            for place in range(TILE_CELLS * TILE_CELLS):
-                row = tiles.free[tile, place]
-                if row == NONE:
-                    continue
-                dx = (tx * TILE_CELLS + (place >> TILE_SHIFT) + 0.5) * cell_m - x
-                dy = (ty * TILE_CELLS + (place & (TILE_CELLS - 1)) + 0.5) * cell_m - y
-                d = np.sqrt(dx * dx + dy * dy)
-                if d >= near_m or d >= rows.near[row]:
-                    far = max(far, rows.near[row])
-                    continue
-                far = max(far, d)
-                rows.near[row] = d
-                if rows.owner[row] != home:
-                    clusters.fresh[rows.owner[row]] += 1
-                    clusters.fresh[home] += 1
-                    detach(rows, clusters.head, clusters.rows, row)
-                    attach(rows, clusters.head, clusters.rows, row, home)
-            tiles.far_m[tile] = far
-
-
-@compiled
-def _nearest_hit(
-    x: float, y: float, rows: Rows, tiles: Tiles, cell_m: float, near_m: float
-) -> tuple[int, float]:
-    """Row of the nearest hit within `near_m` of (x, y), or NONE, and its distance."""
-    best, nearest = NONE, near_m
-    edge = TILE_CELLS * cell_m
-    middle_x, middle_y = int(np.floor(x / edge)), int(np.floor(y / edge))
-    ring = 0
-    while (ring - 1) * edge < nearest:  # rings of tiles, from the inside out
-        for tx in range(middle_x - ring, middle_x + ring + 1):
-            whole = abs(tx - middle_x) == ring
-            for ty in range(middle_y - ring, middle_y + ring + 1, 1 if whole else 2 * ring):
-                if gap_to_tile(tx, ty, x, y, cell_m) >= nearest:
-                    continue
-                tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
-                if tile == NONE or tiles.used[tile, HIT] == 0:
-                    continue
-                for place in range(TILE_CELLS * TILE_CELLS):
-                    hit = tiles.hit[tile, place]
-                    if hit != NONE:
-                        dx, dy = x - rows.geometry[hit, 0, 0], y - rows.geometry[hit, 0, 1]
-                        d = np.sqrt(dx * dx + dy * dy)
-                        if d < nearest:
-                            best, nearest = hit, d
-        ring += 1
-    return best, (nearest if best != NONE else np.inf)
-
-
-@compiled
-def _new_free_area(
-    ix: int, iy: int, tile: int, home: int, rows: Rows, tiles: Tiles,
-    clusters: Clusters, cell_m: float, near_m: float,
-) -> int:  # fmt: skip
-    """A new row for cell (ix, iy), given to the cluster that is at home there."""
-    row = add_unindexed(rows, cell_key(BOX, ix, iy))
-    tiles.free[tile, place_in_tile(ix, iy)] = row
-    tiles.used[tile, FREE] += 1
-    rows.kind[row] = BOX
-    rows.geometry[row, 0, 0] = ix * cell_m
-    rows.geometry[row, 0, 1] = iy * cell_m
-    rows.geometry[row, 1, 0] = (ix + 1) * cell_m
-    rows.geometry[row, 1, 1] = (iy + 1) * cell_m
-    hit, rows.near[row] = _nearest_hit(
-        (ix + 0.5) * cell_m, (iy + 0.5) * cell_m, rows, tiles, cell_m, near_m
-    )
-    tiles.far_m[tile] = max(tiles.far_m[tile], rows.near[row])
-    if hit != NONE:
-        home = rows.owner[hit]
-    elif tiles.first[tile] == NONE:
-        tiles.first[tile] = row
-    else:
-        home = rows.owner[tiles.first[tile]]
-    attach(rows, clusters.head, clusters.rows, row, home)
-    clusters.fresh[home] += 1
-    return row
-
-
-@compiled
-def absorb_free_areas(
-    start: int,
-    origin: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    free_m: NDArray[np.float64],
-    homes: NDArray[np.int32],
-    rows: Rows,
-    tiles: Tiles,
-    clusters: Clusters,
-    cell_m: float,
-    near_m: float,
-    cap: float,
-) -> tuple[int, int]:
-    """Count the free part of beams in the cells that they cross, by length.
-
-    Cell walking after Amanatides & Woo, "A fast voxel traversal algorithm" (1987).
+def beams_of(
+    ranges_m: NDArray[np.float32],
+    pose: tuple[float, float],
+    angles_rad: tuple[float, float],
+    limits_m: tuple[float, float, float],
+) -> Beams:
+    """Beams that returned, and those known to be free.
 
     Args:
-        start: the beam to begin with.
-        origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
-        homes: (n,) cluster of each beam.
-
-    Returns:
-        The first beam that there was no room for (n when done), and the number of new rows.
+        ranges_m: (n,) as REP 117.
+        pose: of the sensor, x and y. angles_rad: of the first beam in the map frame, and the step.
+        limits_m: nearest and farthest hit, compared as float32, as they travel; and where beams
+            are cut: a hit beyond says that all before it is free.
     """
-    fresh = 0
-    x, y = origin[0], origin[1]
-    per_cell = 1.0 / cell_m
-    for b in range(start, len(free_m)):
-        length = free_m[b]
-        if not length > 0.0:
+    n = len(ranges_m)
+    (x_m, y_m), (first_rad, step_rad), limit_m = pose, angles_rad, limits_m[2]
+    direction, length_m = np.empty((n, 2)), np.empty(n)
+    returned, hits, spacing_m = np.empty(n, np.bool_), np.empty((n, 2)), np.empty(n)
+    nearest, farthest = np.float32(limits_m[0]), np.float32(limits_m[1])
+    used, back = 0, 0
+    for i in range(n):
+        r = ranges_m[i]
+        hit = nearest <= r <= farthest
+        if not (hit or r == np.inf):
             continue
-        worst = cells_crossed(length, cell_m)
-        if rows.size[0] + worst > len(rows.keys) or tiles.size[0] + worst > len(tiles.keys):
-            return b, fresh
-        ux, uy = direction[b, 0], direction[b, 1]
-        ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
-        sx, sy = (1 if ux > 0.0 else -1), (1 if uy > 0.0 else -1)
-        next_x = ((ix + (ux > 0.0)) * cell_m - x) / ux if ux != 0.0 else np.inf
-        next_y = ((iy + (uy > 0.0)) * cell_m - y) / uy if uy != 0.0 else np.inf
-        step_x = cell_m / abs(ux) if ux != 0.0 else np.inf
-        step_y = cell_m / abs(uy) if uy != 0.0 else np.inf
-        t = 0.0
-        tx, ty = ix >> TILE_SHIFT, iy >> TILE_SHIFT
-        tile = tile_at(tiles, ix, iy)
-        while t < length:
-            leave = min(next_x, next_y, length)
-            if leave > t:
-                if ix >> TILE_SHIFT != tx or iy >> TILE_SHIFT != ty:
-                    tx, ty = ix >> TILE_SHIFT, iy >> TILE_SHIFT
-                    tile = tile_at(tiles, ix, iy)
-                row = tiles.free[tile, place_in_tile(ix, iy)]
-                if row == NONE:
-                    fresh += 1
-                    row = _new_free_area(
-                        ix, iy, tile, homes[b], rows, tiles, clusters, cell_m, near_m
-                    )
-                touch(rows, clusters, row, (leave - t) * per_cell, cap)
-                t = leave
-            if next_x <= next_y:
-                ix += sx
-                next_x += step_x
-            else:
-                iy += sy
-                next_y += step_y
-    return len(free_m), fresh
-
-
-@compiled
-def cells_crossed(length_m: float, cell_m: float) -> int:
-    """At most this many cells (or tiles) are crossed by a beam of `length_m`."""
-    return int(2.0 * length_m / cell_m) + 4
+        hit = hit and r <= limit_m
+        length = float(r) if hit else limit_m
+        angle = first_rad + step_rad * i
+        ux, uy = np.cos(angle), np.sin(angle)
+        direction[used, 0], direction[used, 1] = ux, uy
+        length_m[used], returned[used] = length, hit
+        used += 1
+        if hit:
+            hits[back, 0], hits[back, 1] = x_m + length * ux, y_m + length * uy
+            spacing_m[back] = length * abs(step_rad)
+            back += 1
+    origin = np.array([x_m, y_m])
+    return Beams(
+        origin, direction[:used], length_m[:used], returned[:used], hits[:back], spacing_m[:back]
+    )
 
 
 @compiled
 def absorb_free_segments(
-    start: int,
     origin: NDArray[np.float64],
     direction: NDArray[np.float64],
     free_m: NDArray[np.float64],
@@ -244,20 +86,21 @@ def absorb_free_segments(
     segment_m: float,
     end_cell_m: float,
     cap: float,
-) -> tuple[int, int]:
+) -> None:
     """Cut the free part of beams into segments and merge those with the same pair of end cells.
 
-    A beam's segments belong to the beam's cluster; one that is known stays with its cluster.
-    Arguments and result as `absorb_free_areas`; `segment_m` is the longest segment.
+    A beam's segments belong to the beam's cluster; one that is known stays with its cluster. The
+    caller has made room for all segments.
+
+    Args:
+        origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
+        homes: (n,) cluster of each beam. segment_m: longest segment.
     """
-    fresh = 0
-    for b in range(start, len(free_m)):
+    for b in range(len(free_m)):
         length = free_m[b]
         if not length > 0.0:
             continue
         pieces = int(np.ceil(length / segment_m))
-        if rows.size[0] + pieces > len(rows.keys):
-            return b, fresh
         part = length / (pieces * segment_m)
         for p in range(pieces):
             t0, t1 = length * p / pieces, length * (p + 1) / pieces
@@ -274,14 +117,15 @@ def absorb_free_segments(
                 ax, ay, bx, by = bx, by, ax, ay
             row, new = find_or_add(rows.slots, rows.keys, rows.size, key_a, key_b)
             if new:
-                fresh += 1
                 rows.kind[row] = SEGMENT
                 rows.geometry[row, 0, 0] = ax
                 rows.geometry[row, 0, 1] = ay
                 rows.geometry[row, 1, 0] = bx
                 rows.geometry[row, 1, 1] = by
                 rows.near[row] = np.inf
-                attach(rows, clusters.head, clusters.rows, row, homes[b])
+                attach(
+                    rows.owner, rows.before, rows.after, clusters.head, clusters.rows, row, homes[b]
+                )
                 clusters.fresh[homes[b]] += 1
             else:
                 g = rows.geometry[row]
@@ -295,4 +139,3 @@ def absorb_free_segments(
                 rows.geometry[row, 1, 0] += share * (bx - rows.geometry[row, 1, 0])
                 rows.geometry[row, 1, 1] += share * (by - rows.geometry[row, 1, 1])
             touch(rows, clusters, row, part, cap)
-    return len(free_m), fresh

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, inlined
 from gpom_core.lines import principal_axis
-from gpom_core.rows import NONE, Rows, attach, detach
-from gpom_core.tiles import Tiles, square
+from gpom_core.rows import NONE, Rows, attach, cell_key, detach, find
+from gpom_core.tiles import HIT, TILE_CELLS, TILE_SHIFT, Tiles, place_in_tile
 
 MAX_CANDIDATES = 16  # clusters that one run can touch; more are not looked at
 FEW_HITS = 3  # a run this short has no direction: it joins what is near
@@ -94,12 +94,20 @@ def add_hit_moments(clusters: Clusters, c: int, x: float, y: float) -> None:
 
 
 @inlined
+def growth(count: float, added: float, cap: float) -> float:
+    """What a cluster gains when a row's count grows by `added`; nothing from the cap on.
+
+    log((count + 1 + added) / (count + 1)), from below and without a logarithm.
+    """
+    return 2.0 * added / (2.0 * (count + 1.0) + added) if count < cap else 0.0
+
+
+@inlined
 def touch(rows: Rows, clusters: Clusters, row: int, added: float, cap: float) -> None:
-    """Merge `added` more observations into a row; below the cap its cluster gains by it."""
+    """Merge `added` more observations into a row; its cluster gains by it."""
     count = rows.count[row]
     rows.count[row] = count + added
-    if count < cap:
-        clusters.gain[rows.owner[row]] += added / (count + 1.0)
+    clusters.gain[rows.owner[row]] += growth(count, added, cap)
 
 
 @compiled
@@ -127,11 +135,14 @@ def associate(
     out = np.empty(len(xy), np.int32)
     names = np.empty(MAX_CANDIDATES, np.int32)
     votes = np.empty(MAX_CANDIDATES, np.float64)
+    owner, slots, keys, used, hits = rows.owner, tiles.slots, tiles.keys, tiles.used, tiles.hit
     run = 0
     while starts[run] < len(xy):
         first, end = starts[run], starts[run + 1]
         few = end - first <= FEW_HITS
-        found = _vote(xy[first:end], rows, tiles, cell_m, 3 if few else 1, names, votes)
+        found = _vote(
+            xy[first:end], owner, slots, keys, used, hits, cell_m, 3 if few else 1, names, votes
+        )
         chosen = NONE
         for _ in range(found):
             best = np.argmax(votes[:found])
@@ -148,32 +159,47 @@ def associate(
     return out
 
 
-@compiled
+@inlined
 def _vote(
-    xy: Any, rows: Rows, tiles: Tiles, cell_m: float, reach: int, names: Any, votes: Any
-) -> int:
-    """Fill `names` and `votes` with the clusters around the hits; how many were found."""
-    found = 0
-    around = np.empty((2 * reach + 1, 2 * reach + 1), np.int32)
-    for i in range(len(xy)):
+    xy: Any, owner: Any, slots: Any, keys: Any, used: Any, hits: Any,
+    cell_m: float, reach: int, names: Any, votes: Any,
+) -> int:  # fmt: skip
+    """Fill `names` and `votes` with the clusters around the hits; how many were found.
+
+    Takes arrays and not tuples of them, which would be counted as references in the inner loop.
+    """
+    found, i = 0, 0
+    while i < len(xy):
         ix, iy = int(np.floor(xy[i, 0] / cell_m)), int(np.floor(xy[i, 1] / cell_m))
-        square(tiles, tiles.hit, ix, iy, reach, around)
-        for dx in range(-reach, reach + 1):
-            for dy in range(-reach, reach + 1):
-                hit = around[dx + reach, dy + reach]
-                if hit == NONE:
+        weight = 1.0
+        i += 1
+        while (
+            i < len(xy)
+            and int(np.floor(xy[i, 0] / cell_m)) == ix
+            and int(np.floor(xy[i, 1] / cell_m)) == iy
+        ):
+            weight += 1.0  # hits of one cell vote alike
+            i += 1
+        for tx in range((ix - reach) >> TILE_SHIFT, ((ix + reach) >> TILE_SHIFT) + 1):
+            for ty in range((iy - reach) >> TILE_SHIFT, ((iy + reach) >> TILE_SHIFT) + 1):
+                tile = find(slots, keys, cell_key(0, tx, ty), 0)
+                if tile == NONE or used[tile, HIT] == 0:
                     continue
-                owner = rows.owner[hit]
-                weight = 1.0 / (1.0 + dx * dx + dy * dy)
-                k = 0
-                while k < found and names[k] != owner:
-                    k += 1
-                if k == found:
-                    if found == len(names):
-                        continue
-                    names[k], votes[k] = owner, 0.0
-                    found += 1
-                votes[k] += weight
+                x0, y0 = tx << TILE_SHIFT, ty << TILE_SHIFT
+                for x in range(max(x0, ix - reach), min(x0 + TILE_CELLS, ix + reach + 1)):
+                    for y in range(max(y0, iy - reach), min(y0 + TILE_CELLS, iy + reach + 1)):
+                        hit = hits[tile, place_in_tile(x, y)]
+                        if hit == NONE:
+                            continue
+                        k = 0
+                        while k < found and names[k] != owner[hit]:
+                            k += 1
+                        if k == found:
+                            if found == len(names):
+                                continue
+                            names[k], votes[k] = owner[hit], 0.0
+                            found += 1
+                        votes[k] += weight / (1.0 + (x - ix) ** 2 + (y - iy) ** 2)
     return found
 
 
@@ -199,14 +225,15 @@ def _on_line(xy: Any, clusters: Clusters, c: int, tolerance_m: float) -> bool:
 
 @compiled
 def longer_than(clusters: Clusters, among: NDArray[np.int32], limit_m: float) -> NDArray[np.int32]:
-    """Those of the clusters `among` (n,) whose line is longer than `limit_m`."""
+    """Those of the clusters `among` (n,) whose line is longer than `limit_m`, each once, sorted."""
     out = np.empty(len(among), np.int32)
     n = 0
-    for c in among:
-        if length_m(clusters, c) > limit_m:
-            out[n] = c
+    for i in range(len(among)):
+        # hits of one cluster come in runs
+        if (i == 0 or among[i] != among[i - 1]) and length_m(clusters, among[i]) > limit_m:
+            out[n] = among[i]
             n += 1
-    return out[:n]
+    return np.unique(out[:n])
 
 
 @compiled
@@ -239,18 +266,20 @@ def split(rows: Rows, clusters: Clusters, c: int, by_hits: bool) -> int:
     if along <= 0.0:
         return NONE
     new = add_cluster(clusters, ox + cx, oy + cy)
+    owner, before, after = rows.owner, rows.before, rows.after
+    head, length = clusters.head, clusters.rows
     clusters.moments[c, :] = 0.0
-    row = clusters.head[c]
+    row = head[c]
     while row != NONE:
-        after = rows.after[row]
+        following = after[row]
         x = 0.5 * (rows.geometry[row, 0, 0] + rows.geometry[row, 1, 0])
         y = 0.5 * (rows.geometry[row, 0, 1] + rows.geometry[row, 1, 1])
         home = c
         if (x - ox - cx) * tx + (y - oy - cy) * ty > 0.0:
             home = new
-            detach(rows, clusters.head, clusters.rows, row)
-            attach(rows, clusters.head, clusters.rows, row, new)
+            detach(owner, before, after, head, length, row)
+            attach(owner, before, after, head, length, row, new)
         if rows.kind[row] == 0:
             add_hit_moments(clusters, home, x, y)
-        row = after
+        row = following
     return new

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import beams, clusters, lines, rows, tiles
-from gpom_core.beams import POINT
+from gpom_core import areas, beams, clusters, lines, rows, tiles
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.observations import Observations, gather, observations_of
+from gpom_core.rows import POINT
 from gpom_core.scan import Scan
-from gpom_core.similarity import most_similar
+from gpom_core.sight import Rules, Sight, see
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +29,7 @@ class Evidence:
 
     def __init__(self, config: MapConfig) -> None:
         self.config = config
+        self._rules = Rules(*(float(getattr(config, name)) for name in Rules._fields))
         self.rows = rows.new_rows()
         self.tiles = tiles.new_tiles()
         self.clusters = clusters.new_clusters()
@@ -44,103 +45,57 @@ class Evidence:
         Raises:
             InvalidScanError: the scan lies where the lattice has no cells; nothing was changed.
         """
-        beam = self._beams(scan)
+        limit_m = min(scan.range_max_m, self.config.max_range_m)
+        self._check_place(scan, limit_m)
         before, clusters_before = self.observation_count, int(self.clusters.size[0])
-        hits = beam.ends[beam.returned]
-        homes = self._associate(hits, beam.spacing_m[beam.returned])
-        self._absorb_hits(hits, homes)
-        self._absorb_free(beam, homes)
+        n = len(scan.ranges_m)
+        self._make_room(n, n)
+        self.clusters = clusters.with_room(self.clusters, n + 1)
+        seen = see(
+            scan.ranges_m,
+            (scan.pose.x_m, scan.pose.y_m),
+            (scan.pose.yaw_rad + scan.angle_min_rad, scan.angle_increment_rad),
+            (scan.range_min_m, scan.range_max_m, limit_m),
+            self._rules, self.rows, self.tiles, self.clusters,
+        )  # fmt: skip
+        self._absorb_free(seen)
         self._forget_unused(clusters_before)
-        self._split_long(np.unique(homes))
-        return UpdateReport(
-            hits=len(hits),
-            new_observations=self.observation_count - before,
-        )
+        if len(seen.long):
+            self._split_long(seen.long)
+        return UpdateReport(seen.hits, self.observation_count - before)
 
-    def _beams(self, scan: Scan) -> _Beams:
-        """Beams that say something: those that returned, and those known to be free."""
-        limit = min(scan.range_max_m, self.config.max_range_m)
-        ranges = scan.ranges_m.astype(np.float64)
-        hit, empty = scan.hits(), scan.no_returns()
-        returned = hit & (ranges <= limit)
-        used = hit | empty
-        length = np.where(returned, ranges, limit)[used]
-        angle = scan.beam_angles_rad()[used]
-        direction = np.column_stack([np.cos(angle), np.sin(angle)])
-        origin = np.array([scan.pose.x_m, scan.pose.y_m])
-        if np.abs(origin).max() + limit > rows.COORDINATE_LIMIT * self.config.hit_cell_m:
+    def _check_place(self, scan: Scan, limit_m: float) -> None:
+        farthest_m = max(abs(scan.pose.x_m), abs(scan.pose.y_m)) + limit_m
+        if farthest_m > rows.COORDINATE_LIMIT * self.config.hit_cell_m:
             raise InvalidScanError(
                 "pose_out_of_range",
-                f"the sensor is at {tuple(origin)}, farther from the origin than the map's lattice "
-                f"of {self.config.hit_cell_m} m cells can address; use a map frame near the site",
+                f"the sensor is at {tuple(scan.pose)[:2]}, farther from the origin than the map's "
+                f"lattice of {self.config.hit_cell_m} m cells can address; use a map frame near "
+                "the site",
             )
-        return _Beams(
-            origin=origin,
-            direction=direction,
-            length_m=length,
-            ends=origin + length[:, None] * direction,
-            returned=returned[used],
-            spacing_m=length * abs(scan.angle_increment_rad),
-        )
 
-    def _associate(
-        self, hits: NDArray[np.float64], spacing_m: NDArray[np.float64]
-    ) -> NDArray[np.int32]:
-        c = self.config
-        starts = lines.track_lines(hits, spacing_m, c.line_tolerance_m, c.line_gap_m)
-        self.clusters = clusters.with_room(self.clusters, len(hits) + 1)
-        return clusters.associate(
-            hits, starts, self.rows, self.tiles, self.clusters, c.cell_m, c.line_tolerance_m
-        )
+    def _make_room(self, new_rows: int, new_tiles: int) -> None:
+        self.rows = rows.with_room(self.rows, new_rows)
+        self.tiles = tiles.with_room(self.tiles, new_tiles)
 
-    def _absorb_hits(self, hits: NDArray[np.float64], homes: NDArray[np.int32]) -> None:
-        c = self.config
-        self.rows = rows.with_room(self.rows, len(hits))
-        self.tiles = tiles.with_room(self.tiles, len(hits))
-        beams.absorb_hits(
-            hits, homes, self.rows, self.tiles, self.clusters,
-            c.hit_cell_m, c.cell_m, c.near_surface_m, c.hit_cap,
-        )  # fmt: skip
-
-    def _absorb_free(self, beam: _Beams, hit_homes: NDArray[np.int32]) -> None:
+    def _absorb_free(self, seen: Sight) -> None:
         """Free evidence goes with its beam's hit, or with the most similar beam's."""
         c = self.config
-        homes = np.empty(len(beam.length_m), np.int32)
-        homes[beam.returned] = hit_homes
-        if not beam.returned.all():
-            homes[~beam.returned] = self._homes_without_return(beam, hit_homes)
-        free_m = np.where(beam.returned, beam.length_m - c.hit_margin_m, beam.length_m)
-        start, n = 0, len(free_m)
-        while start < n:
-            if c.free_evidence == "areas":
-                start, _ = beams.absorb_free_areas(
-                    start, beam.origin, beam.direction, free_m, homes, self.rows, self.tiles,
-                    self.clusters, c.cell_m, c.near_surface_m, c.free_cap,
-                )  # fmt: skip
-                room = beams.cells_crossed(c.max_range_m, c.cell_m)
-            else:
-                start, _ = beams.absorb_free_segments(
-                    start, beam.origin, beam.direction, free_m, homes, self.rows, self.clusters,
-                    c.segment_m, 0.5 * c.segment_m, c.free_cap,
-                )  # fmt: skip
-                room = int(c.max_range_m / c.segment_m) + 2
-            if start < n:
-                self.rows = rows.with_room(self.rows, room)
-                self.tiles = tiles.with_room(self.tiles, room)
-
-    def _homes_without_return(
-        self, beam: _Beams, hit_homes: NDArray[np.int32]
-    ) -> NDArray[np.int32]:
-        """Cluster of each beam without return: that of the most similar returning beam.
-
-        By the segment-segment kernel (section 3.1). A scan without any return founds a cluster.
-        """
-        silent, back = np.flatnonzero(~beam.returned), np.flatnonzero(beam.returned)
-        if len(back) == 0:
-            self.clusters = clusters.with_room(self.clusters, 1)
-            return np.full(len(silent), clusters.add_cluster(self.clusters, *beam.origin), np.int32)
-        like = most_similar(beam.ends - beam.origin, beam.returned, self.config.length_scale_m)
-        return hit_homes[np.searchsorted(back, like[silent])]
+        if c.free_evidence == "segments":
+            pieces = np.ceil(np.maximum(seen.free_m, 0.0) / c.segment_m)
+            self._make_room(int(pieces.sum()), 0)
+            beams.absorb_free_segments(
+                seen.origin, seen.direction, seen.free_m, seen.homes, self.rows, self.clusters,
+                c.segment_m, 0.5 * c.segment_m, c.free_cap,
+            )  # fmt: skip
+            return
+        start = 0
+        while start != rows.NONE:
+            start, new_rows, new_tiles = areas.absorb_free_areas(
+                start, seen.origin, seen.direction, seen.free_m, seen.homes,
+                self.rows, self.tiles, self.clusters, c.cell_m, c.near_surface_m, c.free_cap,
+            )  # fmt: skip
+            self._make_room(new_rows, new_tiles)
 
     def _forget_unused(self, before: int) -> None:
         """Give back the numbers of clusters founded in vain: all they saw was known already."""
@@ -149,12 +104,12 @@ class Evidence:
             size -= 1
         self.clusters.size[0] = size
 
-    def _split_long(self, touched: NDArray[np.int32]) -> None:
-        limit = self.config.max_length_m
-        waiting = clusters.longer_than(self.clusters, touched, limit).tolist()
+    def _split_long(self, long: NDArray[np.int32]) -> None:
+        waiting = long.tolist()
         while waiting:
             halves = np.array(self.split(waiting.pop(), by_hits=True), np.int32)
-            waiting += clusters.longer_than(self.clusters, halves, limit).tolist()
+            more = clusters.longer_than(self.clusters, halves, self.config.max_length_m)
+            waiting += more.tolist()
 
     def split(self, cluster: int, *, by_hits: bool) -> list[int]:
         """Halve a cluster; both halves, both dirty, or nothing if it cannot be halved."""
@@ -203,15 +158,3 @@ class Evidence:
         along = (xy - centre) @ axis
         ends: NDArray[np.float64] = centre + np.array([[along.min()], [along.max()]]) * axis
         return ends
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Beams:
-    """The n used beams of a scan in the map frame, metres."""
-
-    origin: NDArray[np.float64]
-    direction: NDArray[np.float64]
-    length_m: NDArray[np.float64]
-    ends: NDArray[np.float64]
-    returned: NDArray[np.bool_]
-    spacing_m: NDArray[np.float64]

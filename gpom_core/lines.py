@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.jit import compiled
+from gpom_core.jit import compiled, inlined
 
 GAP_IN_BEAMS = 3.0  # a wall seen at a slant spreads neighbouring hits this much, and no more
 STRAIGHT_FROM = 3.0  # in tolerances: shorter runs have no direction to deviate from
@@ -42,8 +42,20 @@ def principal_axis(m: NDArray[np.float64]) -> tuple[float, float, float, float, 
     xy = m[4] / n - cx * cy
     half, diff = 0.5 * (xx + yy), 0.5 * (xx - yy)
     root = np.sqrt(diff * diff + xy * xy)
-    angle = 0.5 * np.arctan2(xy, diff)
-    return cx, cy, np.cos(angle), np.sin(angle), half + root, max(half - root, 0.0)
+    # cosine and sine of half the angle of (diff, xy), each from the larger of them
+    tx, ty = 1.0, 0.0
+    if diff > 0.0:
+        tx = np.sqrt(0.5 + 0.5 * diff / root)
+        ty = 0.5 * xy / (root * tx)
+    elif root > 0.0:
+        ty = np.sqrt(0.5 - 0.5 * diff / root) * (1.0 if xy >= 0.0 else -1.0)
+        tx = 0.5 * xy / (root * ty)
+    return cx, cy, tx, ty, half + root, max(half - root, 0.0)
+
+
+@inlined
+def _distance(dx: float, dy: float) -> float:
+    return float(np.sqrt(dx * dx + dy * dy))
 
 
 @compiled
@@ -76,8 +88,8 @@ def track_lines(
         x, y = xy[i, 0], xy[i, 1]
         if i > start:
             px, py = xy[i - 1, 0], xy[i - 1, 1]
-            joins = np.hypot(x - px, y - py) <= max(gap_m, GAP_IN_BEAMS * spacing_m[i])
-            if joins and np.hypot(x - ox, y - oy) > STRAIGHT_FROM * tolerance_m and m[0] > 2.0:
+            joins = _distance(x - px, y - py) <= max(gap_m, GAP_IN_BEAMS * spacing_m[i])
+            if joins and _distance(x - ox, y - oy) > STRAIGHT_FROM * tolerance_m and m[0] > 2.0:
                 cx, cy, tx, ty, _, _ = principal_axis(m)
                 joins = abs((y - oy - cy) * tx - (x - ox - cx) * ty) <= tolerance_m
             if not joins:

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.beams import BOX, POINT, SEGMENT
 from gpom_core.clusters import Clusters
 from gpom_core.jit import compiled
-from gpom_core.rows import COORDINATE_BITS, NONE, Rows
+from gpom_core.rows import BOX, COORDINATE_BITS, NONE, POINT, SEGMENT, Rows
 
 OCCUPIED, FREE = 1.0, -1.0
 LEAST_COUNT = 1e-3  # a beam that grazes a cell; less is not worth a different noise

@@ -11,7 +11,6 @@ import numpy as np
 from numba import carray
 from numpy.typing import NDArray
 
-from gpom_core.beams import BOX, POINT, SEGMENT
 from gpom_core.committee import contribution
 from gpom_core.jit import compiled
 from gpom_core.kernels import point_segment
@@ -28,6 +27,7 @@ from gpom_core.member import (
     WEIGHTS,
 )
 from gpom_core.pointers import pointer
+from gpom_core.rows import BOX, POINT, SEGMENT
 from gpom_core.sides import SQRT_HALF
 from gpom_core.special import erf, exp_neg
 

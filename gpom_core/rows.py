@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gpom_core.jit import compiled, inlined
 
 NONE = -1
-AREA_KIND = 2  # kernels.Kind.BOX
+POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
 COORDINATE_BITS = 29  # of a cell index; two of them and the kind fill an int64 key
 COORDINATE_LIMIT = 2 ** (COORDINATE_BITS - 1) - 4096
 
@@ -86,7 +86,7 @@ def with_room(rows: Rows, extra: int) -> Rows:
 @compiled
 def _index(rows: Rows, used: int) -> None:
     for i in range(used):
-        if rows.kind[i] != AREA_KIND:
+        if rows.kind[i] != BOX:
             slot = _slot(rows.slots, rows.keys, rows.keys[i, 0], rows.keys[i, 1])
             rows.slots[slot] = i
 
@@ -145,35 +145,41 @@ def find_or_add(slots: Any, keys: Any, size: Any, a: int, b: int) -> tuple[int, 
     return entry, True
 
 
-@compiled
-def attach(rows: Rows, head: Any, length: Any, row: int, owner: int) -> None:
-    """Put a row that has no owner on the list of `owner`."""
-    rows.owner[row] = owner
-    rows.before[row] = NONE
-    rows.after[row] = head[owner]
-    if head[owner] != NONE:
-        rows.before[head[owner]] = row
-    head[owner] = row
-    length[owner] += 1
+@inlined
+def attach(
+    owner: Any, before: Any, after: Any, head: Any, length: Any, row: int, home: int
+) -> None:
+    """Put a row that has no owner on the list of `home`.
+
+    Takes the arrays of `Rows` and `Clusters`, not the tuples: see `jit.inlined`.
+    """
+    owner[row] = home
+    before[row] = NONE
+    after[row] = head[home]
+    if head[home] != NONE:
+        before[head[home]] = row
+    head[home] = row
+    length[home] += 1
 
 
-@compiled
-def detach(rows: Rows, head: Any, length: Any, row: int) -> None:
+@inlined
+def detach(owner: Any, before: Any, after: Any, head: Any, length: Any, row: int) -> None:
     """Take a row off its owner's list."""
-    owner, before, after = rows.owner[row], rows.before[row], rows.after[row]
-    if before == NONE:
-        head[owner] = after
+    home, previous, following = owner[row], before[row], after[row]
+    if previous == NONE:
+        head[home] = following
     else:
-        rows.after[before] = after
-    if after != NONE:
-        rows.before[after] = before
-    rows.owner[row] = NONE
-    length[owner] -= 1
+        after[previous] = following
+    if following != NONE:
+        before[following] = previous
+    owner[row] = NONE
+    length[home] -= 1
 
 
 @compiled
 def relink(rows: Rows, head: Any, length: Any, order: NDArray[np.int64]) -> None:
     """Make the lists of owners anew: `order` (n,) has the rows of each owner as its list shall."""
+    owner, before, after = rows.owner, rows.before, rows.after
     for i in range(len(order) - 1, -1, -1):
         row = order[i]
-        attach(rows, head, length, row, rows.owner[row])
+        attach(owner, before, after, head, length, row, owner[row])

@@ -12,8 +12,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.beams import BOX
 from gpom_core.jit import compiled
+from gpom_core.rows import BOX
 
 SQRT_HALF: Final = 0.7071067811865476
 _HALF_PI: Final = 1.5707963267948966

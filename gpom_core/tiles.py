@@ -16,7 +16,8 @@ from gpom_core.rows import NONE, cell_key, find, find_or_add, table_size
 
 TILE_SHIFT = 3
 TILE_CELLS = 1 << TILE_SHIFT
-_AREA = TILE_CELLS * TILE_CELLS
+TILE_AREA = TILE_CELLS * TILE_CELLS
+FREE, HIT = 0, 1  # columns of `Tiles.used`
 
 
 class Tiles(NamedTuple):
@@ -46,8 +47,8 @@ def new_tiles(capacity: int = 256) -> Tiles:
     return Tiles(
         slots=np.full(table_size(capacity), NONE, np.int32),
         keys=np.zeros((capacity, 2), np.int64),
-        free=np.full((capacity, _AREA), NONE, np.int32),
-        hit=np.full((capacity, _AREA), NONE, np.int32),
+        free=np.full((capacity, TILE_AREA), NONE, np.int32),
+        hit=np.full((capacity, TILE_AREA), NONE, np.int32),
         used=np.zeros((capacity, 2), np.int32),
         far_m=np.full(capacity, np.inf),
         first=np.full(capacity, NONE, np.int32),

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gpom_core.beams import BOX, POINT
 from gpom_core.evidence import Evidence
 from gpom_core.expert import Expert
 from gpom_core.kernels import cross
 from gpom_core.observations import Observations
+from gpom_core.rows import BOX, POINT
 from gpom_core.scan import Pose2D, Scan
 
 # A room of 6 m x 4 m, off the lattice, with a pillar and a door in its right wall.

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from gpom_core.beams import BOX, POINT, SEGMENT
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
+from gpom_core.rows import BOX, POINT, SEGMENT
 from tests.gpom_core.synthetic import assert_consistent, look, scan_of, tour
 
 CELL_M = MapConfig().cell_m

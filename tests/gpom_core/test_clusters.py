@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from gpom_core.beams import POINT
 from gpom_core.clusters import length_m
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
+from gpom_core.rows import POINT
 from tests.gpom_core.synthetic import assert_consistent, look, tour
 
 LONG = [((-9.03, 2.03), (9.03, 2.03))]

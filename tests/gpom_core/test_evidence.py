@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpom_core.beams import BOX, POINT
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.evidence import Evidence, UpdateReport
 from gpom_core.kernels import Kind, gram
+from gpom_core.rows import BOX, POINT
 from gpom_core.scan import Pose2D
 from tests.gpom_core.synthetic import assert_consistent, evidence_by_key, look, scan_of, tour
 
@@ -86,6 +86,14 @@ def test_hits_beyond_the_range_of_the_map_are_free_up_to_there() -> None:
 def test_beams_are_free_no_farther_than_the_scanner_sees() -> None:
     evidence = evidence_of(scan_of([np.inf], first=0.0, step=0.01, range_max=2.0))
     assert evidence.rows.count[of_kind(evidence, BOX)].sum() == pytest.approx(20.0)
+
+
+def test_beams_longer_than_a_window_are_counted_whole() -> None:
+    beams = scan_of([np.inf] * 3, 0.03, 0.04, first=0.3, step=1.9, range_max=260.0)
+    evidence = evidence_of(beams, max_range_m=250.0)
+    boxes = of_kind(evidence, BOX)
+    assert evidence.rows.count[boxes].sum() == pytest.approx(7500.0)
+    assert_consistent(evidence)
 
 
 def test_a_hit_nearer_than_the_margin_has_no_free_part() -> None:

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from gpom_core.beams import BOX, POINT, SEGMENT
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
 from gpom_core.observations import Observations, gather, merge_areas
-from gpom_core.rows import cell_key
+from gpom_core.rows import BOX, POINT, SEGMENT, cell_key
 from tests.gpom_core.synthetic import look, points_observed, scan_of, tour
 
 CELL_M, RATIO = 0.1, 3.0

@@ -90,11 +90,11 @@ def test_lists_hold_what_was_attached_and_not_detached(seed: int) -> None:
     for _ in range(600):
         row, owner = int(rng.integers(50)), int(rng.integers(5))
         if row in owners:
-            detach(rows, head, length, row)
+            detach(rows.owner, rows.before, rows.after, head, length, row)
             del owners[row]
             assert rows.owner[row] == NONE
         else:
-            attach(rows, head, length, row, owner)
+            attach(rows.owner, rows.before, rows.after, head, length, row, owner)
             owners[row] = owner
     for owner in range(5):
         mine, row = set(), int(head[owner])

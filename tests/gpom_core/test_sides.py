@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.special import erf
 
-from gpom_core.beams import BOX, POINT
 from gpom_core.kernels import cross
+from gpom_core.rows import BOX, POINT
 from gpom_core.sides import sides_of
 
 LENGTH_SCALE_M = 0.2

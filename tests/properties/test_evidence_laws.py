@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gpom_core.beams import POINT
 from gpom_core.clusters import length_m
 from gpom_core.committee import fuse
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
 from gpom_core.mapper import Mapper
+from gpom_core.rows import POINT
 from gpom_core.scan import Pose2D, Scan
 from tests.gpom_core.synthetic import (
     assert_consistent,

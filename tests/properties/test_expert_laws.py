@@ -6,10 +6,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpom_core.beams import BOX, POINT
 from gpom_core.expert import Hyperparameters, train
 from gpom_core.kernels import gram
 from gpom_core.observations import Observations
+from gpom_core.rows import BOX, POINT
 from tests.gpom_core.synthetic import both, points_observed, posterior, without
 
 coordinates = st.floats(-2.0, 2.0)

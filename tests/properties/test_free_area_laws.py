@@ -4,9 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpom_core.beams import BOX
 from gpom_core.observations import merge_areas
-from gpom_core.rows import cell_key
+from gpom_core.rows import BOX, cell_key
 
 CELL_M, RATIO, CAP = 0.1, 3.0, 50.0
 

@@ -1,0 +1,182 @@
+"""Hits into rows: surfaces, and the free areas before them, which belong to the nearest one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.clusters import Clusters, add_hit_moments, growth
+from gpom_core.jit import compiled
+from gpom_core.rows import NONE, POINT, Rows, attach, cell_key, detach, find, find_or_add
+from gpom_core.tiles import (
+    FREE,
+    HIT,
+    TILE_AREA,
+    TILE_CELLS,
+    TILE_SHIFT,
+    Tiles,
+    gap_to_tile,
+    place_in_tile,
+    tile_at,
+)
+
+
+@compiled
+def absorb_hits(
+    xy: NDArray[np.float64],
+    homes: NDArray[np.int32],
+    rows: Rows,
+    tiles: Tiles,
+    clusters: Clusters,
+    hit_cell_m: float,
+    cell_m: float,
+    near_m: float,
+    cap: float,
+) -> int:
+    """Merge hits (n, 2) into their cells; new cells go to the clusters in `homes` (n,).
+
+    A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it.
+    Free areas nearer to a new surface than to any other follow its cluster.
+    The caller has made room for n rows and n tiles. Returns the number of new rows.
+    """
+    n = len(xy)
+    keys, found = np.empty(n, np.int64), np.empty(n, np.int32)
+    slots, places = rows.slots, rows.keys
+    fresh = 0
+    for i in range(n):  # look-ups that wait for nothing but memory, so that they wait together
+        keys[i] = cell_key(
+            POINT, int(np.floor(xy[i, 0] / hit_cell_m)), int(np.floor(xy[i, 1] / hit_cell_m))
+        )
+        found[i] = find(slots, places, keys[i], 0)
+        fresh += found[i] == NONE
+    before = rows.size[0]
+    if fresh > 0:
+        for i in range(n):
+            if found[i] == NONE:
+                found[i], new = find_or_add(slots, places, rows.size, keys[i], 0)
+                if new:
+                    x, y = xy[i, 0], xy[i, 1]
+                    _new_hit(found[i], x, y, homes[i], rows, tiles, clusters, cell_m, near_m)
+    geometry, count, owner, gain = rows.geometry, rows.count, rows.owner, clusters.gain
+    for i in range(n):
+        row = found[i]
+        known, homes[i] = count[row], owner[row]
+        share = 1.0 / (min(known, cap - 1.0) + 1.0)  # a running mean that forgets
+        x = geometry[row, 0, 0] + share * (xy[i, 0] - geometry[row, 0, 0])
+        y = geometry[row, 0, 1] + share * (xy[i, 1] - geometry[row, 0, 1])
+        geometry[row, 0, 0], geometry[row, 0, 1] = x, y
+        geometry[row, 1, 0], geometry[row, 1, 1] = x, y
+        count[row] = known + 1.0
+        gain[homes[i]] += growth(known, 1.0, cap)
+    return int(rows.size[0] - before)
+
+
+@compiled
+def _new_hit(
+    row: int, x: float, y: float, home: int, rows: Rows, tiles: Tiles,
+    clusters: Clusters, cell_m: float, near_m: float,
+) -> None:  # fmt: skip
+    """Fill a new row with a hit of cluster `home`."""
+    rows.kind[row] = POINT
+    rows.geometry[row, :, 0] = x
+    rows.geometry[row, :, 1] = y
+    rows.near[row] = 0.0
+    attach(rows.owner, rows.before, rows.after, clusters.head, clusters.rows, row, home)
+    clusters.fresh[home] += 1
+    add_hit_moments(clusters, home, x, y)
+    ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+    tile, place = tile_at(tiles, ix, iy), place_in_tile(ix, iy)
+    if tiles.hit[tile, place] == NONE:
+        tiles.hit[tile, place] = row
+        tiles.used[tile, HIT] += 1
+        _claim_free_areas(row, rows, tiles, clusters, cell_m, near_m)
+
+
+@compiled
+def _claim_free_areas(
+    hit: int, rows: Rows, tiles: Tiles, clusters: Clusters, cell_m: float, near_m: float
+) -> None:
+    """Give the free areas around a new surface to its cluster where it is the nearest."""
+    near, far_m, free, used = rows.near, tiles.far_m, tiles.free, tiles.used
+    slots, keys = tiles.slots, tiles.keys
+    owner, before, after = rows.owner, rows.before, rows.after
+    head, length, fresh = clusters.head, clusters.rows, clusters.fresh
+    home = owner[hit]
+    x, y = rows.geometry[hit, 0, 0], rows.geometry[hit, 0, 1]
+    edge = TILE_CELLS * cell_m
+    across = np.empty(TILE_CELLS)
+    for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
+        for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
+            gap = gap_to_tile(tx, ty, x, y, cell_m)
+            if gap >= near_m:
+                continue
+            tile = find(slots, keys, cell_key(0, tx, ty), 0)
+            # most tiles have surfaces of their own, nearer than this one
+            if tile == NONE or used[tile, FREE] == 0 or gap >= far_m[tile]:
+                continue
+            for i in range(TILE_CELLS):
+                across[i] = ((ty * TILE_CELLS + i + 0.5) * cell_m - y) ** 2
+            nearer = False
+            for place in range(TILE_AREA):
+                row = free[tile, place]
+                if row == NONE:
+                    continue
+                along = (tx * TILE_CELLS + (place >> TILE_SHIFT) + 0.5) * cell_m - x
+                square = along * along + across[place & (TILE_CELLS - 1)]
+                if square < near_m * near_m and square < near[row] * near[row]:
+                    near[row] = np.sqrt(square)
+                    nearer = True
+                    if owner[row] != home:
+                        fresh[owner[row]] += 1
+                        fresh[home] += 1
+                        detach(owner, before, after, head, length, row)
+                        attach(owner, before, after, head, length, row, home)
+            if nearer or far_m[tile] == np.inf:
+                far_m[tile] = 0.0
+                for place in range(TILE_AREA):
+                    if free[tile, place] != NONE:
+                        far_m[tile] = max(far_m[tile], near[free[tile, place]])
+
+
+@compiled
+def nearest_hit(
+    x: float, y: float, guess: int, rows: Rows, tiles: Tiles, cell_m: float, near_m: float
+) -> tuple[int, float]:
+    """Row of the nearest hit within `near_m` of (x, y), or NONE, and its distance.
+
+    The nearer the `guess`, a hit or NONE, the less is looked at.
+    """
+    geometry, slots, keys, used, hits = (
+        rows.geometry,
+        tiles.slots,
+        tiles.keys,
+        tiles.used,
+        tiles.hit,
+    )
+    best, nearest = NONE, near_m
+    if guess != NONE:
+        dx, dy = x - geometry[guess, 0, 0], y - geometry[guess, 0, 1]
+        d = np.sqrt(dx * dx + dy * dy)
+        if d < nearest:
+            best, nearest = guess, d
+    edge = TILE_CELLS * cell_m
+    middle_x, middle_y = int(np.floor(x / edge)), int(np.floor(y / edge))
+    ring = 0
+    while (ring - 1) * edge < nearest:  # rings of tiles, from the inside out
+        for tx in range(middle_x - ring, middle_x + ring + 1):
+            whole = abs(tx - middle_x) == ring
+            for ty in range(middle_y - ring, middle_y + ring + 1, 1 if whole else 2 * ring):
+                if gap_to_tile(tx, ty, x, y, cell_m) >= nearest:
+                    continue
+                tile = find(slots, keys, cell_key(0, tx, ty), 0)
+                if tile == NONE or used[tile, HIT] == 0:
+                    continue
+                for place in range(TILE_AREA):
+                    hit = hits[tile, place]
+                    if hit != NONE:
+                        dx, dy = x - geometry[hit, 0, 0], y - geometry[hit, 0, 1]
+                        d = np.sqrt(dx * dx + dy * dy)
+                        if d < nearest:
+                            best, nearest = hit, d
+        ring += 1
+    return best, (nearest if best != NONE else np.inf)
