@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.clusters import Clusters, growth
+from gpom_core.clusters import Clusters, shift
 from gpom_core.jit import compiled
 from gpom_core.rows import BOX, NONE, Rows, add_unindexed, attach, cell_key, find, find_or_add
 from gpom_core.surfaces import nearest_hit
 from gpom_core.tiles import FREE, TILE_AREA, TILE_CELLS, TILE_SHIFT, Tiles
 from gpom_core.walk import WINDOW_TILES, Crossed, span, walk
+
+GRAZED = 0.5  # of a cell's edge; a cell that a scan went through by less is no news by itself
 
 
 @compiled
@@ -26,6 +28,8 @@ def absorb_free_areas(
     cell_m: float,
     near_m: float,
     cap: float,
+    hit_cap: float,
+    hit_weight: float,
 ) -> tuple[int, int, int]:
     """Count the free part of beams in the cells that they cross, by length.
 
@@ -35,6 +39,7 @@ def absorb_free_areas(
         start: the window to begin with.
         origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
         homes: (n,) cluster of each beam.
+        hit_weight: how many traversals weigh as much as one hit.
 
     Returns:
         The first window that there was no room for, of which nothing was counted, and the rows and
@@ -51,7 +56,7 @@ def absorb_free_areas(
         new_rows, new_tiles = _room_for(crossed, tiles)
         if rows.size[0] + new_rows > len(rows.keys) or tiles.size[0] + new_tiles > len(tiles.keys):
             return window, new_rows, new_tiles
-        _merge(crossed, homes, rows, tiles, clusters, cell_m, near_m, cap)
+        _merge(crossed, homes, rows, tiles, clusters, cell_m, near_m, cap, hit_cap, hit_weight)
     return NONE, 0, 0
 
 
@@ -72,11 +77,12 @@ def _room_for(crossed: Crossed, tiles: Tiles) -> tuple[int, int]:
 @compiled
 def _merge(
     crossed: Crossed, homes: NDArray[np.int32], rows: Rows, tiles: Tiles,
-    clusters: Clusters, cell_m: float, near_m: float, cap: float,
+    clusters: Clusters, cell_m: float, near_m: float, cap: float, hit_cap: float, hit_weight: float,
 ) -> None:  # fmt: skip
     """Count what was crossed in rows, tile by tile. The caller has made room."""
     crossed_m, per_cell = crossed.length_m, 1.0 / cell_m
-    free, count, owner, gain = tiles.free, rows.count, rows.owner, clusters.gain
+    free, hits, count, owner = tiles.free, tiles.hit, rows.count, rows.owner
+    gain, fresh = clusters.gain, clusters.fresh
     places = np.empty(TILE_AREA, np.int64)
     for w in range(len(crossed.beam)):
         if crossed.beam[w] == NONE:
@@ -91,11 +97,18 @@ def _merge(
         if missing > 0:
             home = homes[crossed.beam[w]]
             _new_free_areas(tx, ty, places[:n], tile, home, rows, tiles, clusters, cell_m, near_m)
+            for i in range(n):
+                row = free[tile, places[i]]
+                news = crossed_m[w, places[i]] * per_cell >= GRAZED
+                fresh[owner[row]] += (count[row] == 0.0) & news
         for i in range(n):
             row = free[tile, places[i]]
             before, added = count[row], crossed_m[w, places[i]] * per_cell
             count[row] = before + added
-            gain[owner[row]] += growth(before, added, cap)
+            if before < cap:
+                hit = hits[tile, places[i]]
+                against = 0.0 if hit == NONE else hit_weight * min(count[hit], hit_cap)
+                gain[owner[row]] += shift(before, added, against)
 
 
 @compiled
@@ -109,7 +122,7 @@ def _new_free_areas(
     the open, or else `home`.
     """
     owner, before, after = rows.owner, rows.before, rows.after
-    head, length, fresh = clusters.head, clusters.rows, clusters.fresh
+    head, length = clusters.head, clusters.rows
     hit = NONE
     for place in places:
         if tiles.free[tile, place] != NONE:
@@ -136,4 +149,3 @@ def _new_free_areas(
         else:
             mine = owner[tiles.first[tile]]
         attach(owner, before, after, head, length, row, mine)
-        fresh[mine] += 1

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.clusters import Clusters, touch
+from gpom_core.clusters import Clusters, shift
 from gpom_core.jit import compiled
 from gpom_core.rows import SEGMENT, Rows, attach, cell_key, find_or_add
 
@@ -138,4 +138,6 @@ def absorb_free_segments(
                 rows.geometry[row, 0, 1] += share * (ay - rows.geometry[row, 0, 1])
                 rows.geometry[row, 1, 0] += share * (bx - rows.geometry[row, 1, 0])
                 rows.geometry[row, 1, 1] += share * (by - rows.geometry[row, 1, 1])
-            touch(rows, clusters, row, part, cap)
+            if rows.count[row] < cap:
+                clusters.gain[rows.owner[row]] += shift(rows.count[row], part, 0.0)
+            rows.count[row] += part

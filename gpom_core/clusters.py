@@ -28,8 +28,8 @@ class Clusters(NamedTuple):
         head, rows: (c,) first row of the list and its length.
         origin: (c, 2) first hit, metres.
         moments: (c, 6) of the hits' cells relative to `origin`: n, sx, sy, sxx, sxy, syy.
-        gain: (c,) how much the evidence grew since the last training, in relative counts.
-        fresh: (c,) rows that are new since the last training.
+        gain: (c,) how far the means at its rows moved since the last training, see `shift`.
+        fresh: (c,) rows that came or went since the last training, but for those that say little.
         revision: (c,) grows with every change of evidence that counts.
         size: (1,).
     """
@@ -94,20 +94,15 @@ def add_hit_moments(clusters: Clusters, c: int, x: float, y: float) -> None:
 
 
 @inlined
-def growth(count: float, added: float, cap: float) -> float:
-    """What a cluster gains when a row's count grows by `added`; nothing from the cap on.
+def shift(count: float, added: float, against: float) -> float:
+    """How far the mean at a place moves when `added` more say what `count` have said there.
 
-    log((count + 1 + added) / (count + 1)), from below and without a logarithm.
+    The place is taken on its own, under a prior worth one observation: its mean is
+    (n - a) / (n + a + 1), where `against` says the opposite in units of the same weight. All
+    shifts of a place that nothing contradicts add up to less than one, however often it is seen.
     """
-    return 2.0 * added / (2.0 * (count + 1.0) + added) if count < cap else 0.0
-
-
-@inlined
-def touch(rows: Rows, clusters: Clusters, row: int, added: float, cap: float) -> None:
-    """Merge `added` more observations into a row; its cluster gains by it."""
-    count = rows.count[row]
-    rows.count[row] = count + added
-    clusters.gain[rows.owner[row]] += growth(count, added, cap)
+    known = count + against + 1.0
+    return added * (2.0 * against + 1.0) / (known * (known + added))
 
 
 @compiled

@@ -38,7 +38,7 @@ class MapConfig(BaseModel):
     max_length_m: float = Field(3.0, gt=0.1, description="a longer cluster is split")
     max_observations: int = Field(160, ge=16, description="a larger expert is split")
     retrain_gain: float = Field(
-        0.2, gt=0.0, description="relative growth of known evidence that makes an expert dirty"
+        0.1, gt=0.0, description="an expert is dirty when the means at its places moved this much"
     )
     near_surface_m: float = Field(
         2.4, ge=0.0, le=20.0, description="free areas this near belong to the nearest hit's cluster"

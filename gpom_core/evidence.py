@@ -94,8 +94,10 @@ class Evidence:
             start, new_rows, new_tiles = areas.absorb_free_areas(
                 start, seen.origin, seen.direction, seen.free_m, seen.homes,
                 self.rows, self.tiles, self.clusters, c.cell_m, c.near_surface_m, c.free_cap,
+                c.hit_cap, (c.free_noise_std / c.hit_noise_std) ** 2,
             )  # fmt: skip
-            self._make_room(new_rows, new_tiles)
+            if start != rows.NONE:
+                self._make_room(new_rows, new_tiles)
 
     def _forget_unused(self, before: int) -> None:
         """Give back the numbers of clusters founded in vain: all they saw was known already."""
@@ -125,11 +127,11 @@ class Evidence:
         """Clusters whose evidence changed since they were taken, most changed first."""
         n = int(self.clusters.size[0])
         fresh, gain = self.clusters.fresh[:n], self.clusters.gain[:n]
-        score = fresh + gain
-        changed = np.flatnonzero(
-            (fresh > 0) | (gain > self.config.retrain_gain * self.clusters.rows[:n])
-        )
-        return changed[np.argsort(-score[changed], kind="stable")]
+        owned = self.clusters.rows[:n]
+        moved = (fresh > 0) | (gain > self.config.retrain_gain * owned)
+        untrained = (self.clusters.revision[:n] == 0) & (owned > 0)
+        changed = np.flatnonzero(moved | untrained)
+        return changed[np.argsort(-(fresh + gain)[changed], kind="stable")]
 
     def take(self, cluster: int) -> tuple[int, Observations]:
         """The evidence of a cluster to train on, and its revision; it is clean from here on."""

@@ -28,7 +28,10 @@ class Rules(NamedTuple):
     line_gap_m: float
     max_length_m: float
     length_scale_m: float
+    hit_noise_std: float
+    free_noise_std: float
     hit_cap: float
+    free_cap: float
 
 
 class Sight(NamedTuple):
@@ -76,7 +79,8 @@ def see(
     owners = associate(hits, starts, rows, tiles, clusters, rules.cell_m, rules.line_tolerance_m)
     absorb_hits(
         hits, owners, rows, tiles, clusters,
-        rules.hit_cell_m, rules.cell_m, rules.near_surface_m, rules.hit_cap,
+        rules.hit_cell_m, rules.cell_m, rules.near_surface_m, rules.hit_cap, rules.free_cap,
+        (rules.free_noise_std / rules.hit_noise_std) ** 2,
     )  # fmt: skip
     long = longer_than(clusters, owners, rules.max_length_m)
     n = len(returned)

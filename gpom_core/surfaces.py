@@ -5,9 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.clusters import Clusters, add_hit_moments, growth
+from gpom_core.clusters import Clusters, add_hit_moments, shift
 from gpom_core.jit import compiled
-from gpom_core.rows import NONE, POINT, Rows, attach, cell_key, detach, find, find_or_add
+from gpom_core.rows import (
+    COORDINATE_BITS,
+    NONE,
+    POINT,
+    Rows,
+    attach,
+    cell_key,
+    detach,
+    find,
+    find_or_add,
+)
 from gpom_core.tiles import (
     FREE,
     HIT,
@@ -32,11 +42,14 @@ def absorb_hits(
     cell_m: float,
     near_m: float,
     cap: float,
+    free_cap: float,
+    hit_weight: float,
 ) -> int:
     """Merge hits (n, 2) into their cells; new cells go to the clusters in `homes` (n,).
 
     A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it.
-    Free areas nearer to a new surface than to any other follow its cluster.
+    Free areas nearer to a new surface than to any other follow its cluster. `hit_weight` says how
+    many traversals weigh as much as one hit.
     The caller has made room for n rows and n tiles. Returns the number of new rows.
     """
     n = len(xy)
@@ -58,6 +71,8 @@ def absorb_hits(
                     x, y = xy[i, 0], xy[i, 1]
                     _new_hit(found[i], x, y, homes[i], rows, tiles, clusters, cell_m, near_m)
     geometry, count, owner, gain = rows.geometry, rows.count, rows.owner, clusters.gain
+    free, tile_slots, tile_keys = tiles.free, tiles.slots, tiles.keys
+    tile, tx, ty = NONE, 1 << COORDINATE_BITS, 0  # no tile is there
     for i in range(n):
         row = found[i]
         known, homes[i] = count[row], owner[row]
@@ -67,7 +82,14 @@ def absorb_hits(
         geometry[row, 0, 0], geometry[row, 0, 1] = x, y
         geometry[row, 1, 0], geometry[row, 1, 1] = x, y
         count[row] = known + 1.0
-        gain[homes[i]] += growth(known, 1.0, cap)
+        if known < cap:
+            ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+            if ix >> TILE_SHIFT != tx or iy >> TILE_SHIFT != ty:
+                tx, ty = ix >> TILE_SHIFT, iy >> TILE_SHIFT
+                tile = find(tile_slots, tile_keys, cell_key(0, tx, ty), 0)
+            area = NONE if tile == NONE else free[tile, place_in_tile(ix, iy)]
+            against = 0.0 if area == NONE else min(count[area], free_cap) / hit_weight
+            gain[homes[i]] += shift(known, 1.0, against)
     return int(rows.size[0] - before)
 
 
@@ -82,13 +104,13 @@ def _new_hit(
     rows.geometry[row, :, 1] = y
     rows.near[row] = 0.0
     attach(rows.owner, rows.before, rows.after, clusters.head, clusters.rows, row, home)
-    clusters.fresh[home] += 1
     add_hit_moments(clusters, home, x, y)
     ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
     tile, place = tile_at(tiles, ix, iy), place_in_tile(ix, iy)
     if tiles.hit[tile, place] == NONE:
         tiles.hit[tile, place] = row
         tiles.used[tile, HIT] += 1
+        clusters.fresh[home] += 1  # another hit in a cell that is known to be a surface is no news
         _claim_free_areas(row, rows, tiles, clusters, cell_m, near_m)
 
 

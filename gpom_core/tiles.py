@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, inlined
-from gpom_core.rows import NONE, cell_key, find, find_or_add, table_size
+from gpom_core.rows import NONE, cell_key, find_or_add, table_size
 
 TILE_SHIFT = 3
 TILE_CELLS = 1 << TILE_SHIFT
@@ -87,28 +87,6 @@ def tile_at(tiles: Tiles, ix: int, iy: int) -> int:
 def place_in_tile(ix: int, iy: int) -> int:
     """Number of cell (ix, iy) within its tile."""
     return ((ix & (TILE_CELLS - 1)) << TILE_SHIFT) | (iy & (TILE_CELLS - 1))
-
-
-@compiled
-def square(
-    tiles: Tiles, of: NDArray[np.int32], ix: int, iy: int, reach: int, out: NDArray[np.int32]
-) -> None:
-    """Rows in the square of cells within `reach` of (ix, iy).
-
-    Args:
-        of: `tiles.free` or `tiles.hit`.
-        out: (2 reach + 1, 2 reach + 1), filled with rows or NONE; no tile is added.
-    """
-    out[:, :] = NONE
-    for tx in range((ix - reach) >> TILE_SHIFT, ((ix + reach) >> TILE_SHIFT) + 1):
-        for ty in range((iy - reach) >> TILE_SHIFT, ((iy + reach) >> TILE_SHIFT) + 1):
-            tile = find(tiles.slots, tiles.keys, cell_key(0, tx, ty), 0)
-            if tile == NONE:
-                continue
-            x0, y0 = tx << TILE_SHIFT, ty << TILE_SHIFT
-            for x in range(max(x0, ix - reach), min(x0 + TILE_CELLS, ix + reach + 1)):
-                for y in range(max(y0, iy - reach), min(y0 + TILE_CELLS, iy + reach + 1)):
-                    out[x - ix + reach, y - iy + reach] = of[tile, place_in_tile(x, y)]
 
 
 @inlined

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gpom_core.clusters import length_m
+from gpom_core.clusters import length_m, shift
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
 from gpom_core.rows import POINT
@@ -105,3 +105,15 @@ def test_what_is_in_one_place_cannot_be_split() -> None:
     size = int(evidence.clusters.size[0])
     assert evidence.split(0, by_hits=True) == []
     assert evidence.clusters.size[0] == size
+
+
+@pytest.mark.parametrize("count", [0.0, 0.3, 4.0, 90.0])
+@pytest.mark.parametrize("added", [0.05, 1.0, 7.0])
+@pytest.mark.parametrize("against", [0.0, 2.0, 50.0])
+def test_a_shift_is_how_far_the_mean_of_a_place_moves(
+    count: float, added: float, against: float
+) -> None:
+    def mean(n: float) -> float:
+        return (n - against) / (n + against + 1.0)
+
+    assert shift(count, added, against) == pytest.approx(mean(count + added) - mean(count))

@@ -198,10 +198,25 @@ def test_looking_on_makes_clusters_dirty_a_bounded_number_of_times() -> None:
             evidence.take(c)
             taken.append((i, c))
         evidence.add(look(0.0, 0.0))
-    # A place's gains, added / (count + 1) below the cap, add up to less than 1 + log(1 + cap).
+    # Where nothing contradicts, the shifts of a place add up to less than one; to two elsewhere.
     _, times = np.unique([c for _, c in taken], return_counts=True)
-    assert times.max() <= 1 + (1.0 + np.log(11.0)) / 0.2
+    assert times.max() <= 1 + 2.0 / 0.2
     assert max(i for i, _ in taken) < 100
+
+
+def test_cells_that_are_grazed_are_evidence_but_no_news() -> None:
+    angles = -0.2 + 0.05 * np.arange(9)
+    evidence = evidence_of(
+        scan_of(2.03 / np.cos(angles), 0.0, -0.001, first=-0.2, step=0.05), hit_margin_m=0.05
+    )
+    for cluster in evidence.dirty().tolist():
+        evidence.take(cluster)
+    before = evidence.observation_count
+    # Hits in cells that are known to be a surface; beams that end 2 cm into cells never crossed.
+    evidence.add(scan_of(2.07 / np.cos(angles), 0.0, -0.001, first=-0.2, step=0.05))
+    assert evidence.observation_count > before
+    assert not evidence.clusters.fresh.any()
+    assert evidence.clusters.gain.any()
 
 
 def test_the_line_of_a_cluster_runs_along_its_hits() -> None:

@@ -293,6 +293,35 @@ def test_a_parked_robot_costs_a_bounded_number_of_trainings() -> None:
     assert last < 90
 
 
+def test_a_parked_robot_trains_less_than_one_expert_a_scan_after_its_first_second() -> None:
+    mapper = Mapper()
+    for i in range(10):
+        mapper.update(look(0.3, 0.2, beams=180, noise=0.01, seed=i))
+        mapper.train()
+    trainings = 0
+    for i in range(10, 300):
+        mapper.update(look(0.3, 0.2, beams=180, noise=0.01, seed=i))
+        jobs = mapper.take_jobs(ALL)
+        mapper.swap([job.run() for job in jobs])
+        trainings += len(jobs)
+    assert trainings < 290  # noise finds new cells; the rest of 49 experts stays as it is
+
+
+def test_what_is_gone_fades_though_every_place_was_known_before() -> None:
+    panel = [((1.03, -0.31), (1.03, 0.31))]
+    walls = [((2.03, -3.0), (2.03, 3.0))]
+    mapper = Mapper()
+    for i in range(5):
+        mapper.update(look(0.0, 0.0, walls=walls, beams=360, noise=0.01, seed=i))
+    mapper.update(look(0.0, 0.0, walls=panel + walls, beams=360, noise=0.01))
+    at = np.array([[1.03, 0.0]])
+    assert mapper.train().query(at).occupancy[0] > 0.9
+    for i in range(400):
+        mapper.update(look(0.0, 0.0, walls=walls, beams=360, noise=0.01, seed=i))
+        mapper.swap([job.run() for job in mapper.take_jobs(ALL)])
+    assert mapper.snapshot().query(at).occupancy[0] < 0.1
+
+
 def test_jobs_and_results_travel_to_other_processes() -> None:
     mapper, other = mapper_of(*tour(3)), mapper_of(*tour(3))
     jobs = pickle.loads(pickle.dumps(mapper.take_jobs(ALL)))
