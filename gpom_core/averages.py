@@ -28,6 +28,8 @@ _FAR: Final = 1500.0  # squared distance at which the kernel is zero and no powe
 # Kernel values between shapes farther apart than this are below 1e-10 and left at zero.
 CUTOFF: Final = 6.8
 
+_TOGETHER: Final = 4096  # pairs of points in one pass, so that they stay in the cache
+
 
 @vectorised
 def _short_series(length: float) -> tuple[float, float, float, float, float]:
@@ -107,7 +109,7 @@ def line_averages(s: _Floats, r2: _Floats, length: float, out: _Floats) -> None:
 
 
 @compiled
-def line_gram(start: _Floats, span: _Floats, place: _Integers, out: _Floats) -> None:
+def line_gram(start: _Floats, span: _Floats, out: _Floats) -> None:
     """Double averages between all pairs of n lines in d dimensions.
 
     Of each pair one line is integrated in closed form, the other by Gauss-Legendre: the one that
@@ -116,8 +118,7 @@ def line_gram(start: _Floats, span: _Floats, place: _Integers, out: _Floats) -> 
     Args:
         start: (d, n) start of each line.
         span: (d, n) end minus start.
-        place: (n,) row and column of each line in out.
-        out: the pair (i, j) is written to out[place[i], place[j]] and its mirror image.
+        out: written are the first n rows of its first n columns.
     """
     # Indices are unsigned: numba tests signed ones for wrapping round, a quarter of the time.
     d, lines = start.shape
@@ -128,13 +129,11 @@ def line_gram(start: _Floats, span: _Floats, place: _Integers, out: _Floats) -> 
     while points > 0 and length[points - one] == 0.0:
         points -= one
     middle, e = np.empty((d, lines)), np.empty((d, lines))
-    target = np.empty(lines, np.uint64)
     node, weight = np.empty(first[n]), np.empty(first[n])
     for i in range(n):
         for axis in range(d):
             e[axis, i] = span[axis, order[i]]
             middle[axis, i] = start[axis, order[i]] + 0.5 * e[axis, i]
-        target[i] = place[order[i]]
         fill_rule(length[i], node[first[i] :], weight[first[i] :])
     along, squared, near = np.empty(lines), np.empty(lines), np.empty(lines, np.uint64)
     s, r2, value = np.empty(first[n]), np.empty(first[n]), np.empty(first[n])
@@ -159,8 +158,8 @@ def line_gram(start: _Floats, span: _Floats, place: _Integers, out: _Floats) -> 
             beyond = max(abs(s0) - half, 0.0)
             reach = CUTOFF + 0.5 * length_j
             if beyond * beyond + r0 - s0 * s0 > reach * reach:
-                out[target[i], target[j]] = 0.0
-                out[target[j], target[i]] = 0.0
+                out[order[i], order[j]] = 0.0
+                out[order[j], order[i]] = 0.0
                 continue
             near[found] = j
             found += one
@@ -191,12 +190,42 @@ def line_gram(start: _Floats, span: _Floats, place: _Integers, out: _Floats) -> 
             for q in range(first[j], first[j + one]):
                 total += weight[q] * value[filled]
                 filled += one
-            out[target[i], target[j]] = total
-            out[target[j], target[i]] = total
+            out[order[i], order[j]] = total
+            out[order[j], order[i]] = total
         for j in range(rest, n):
-            out[target[i], target[j]] = value[filled]
-            out[target[j], target[i]] = value[filled]
+            out[order[i], order[j]] = value[filled]
+            out[order[j], order[i]] = value[filled]
             filled += one
+
+
+@compiled
+def point_gram(points: _Floats, out: _Floats) -> None:
+    """`line_gram` of n points (d, n): nothing to integrate, many pairs in one vectorised pass."""
+    d, n = points.shape
+    r2 = np.empty(min(n * n, max(n, _TOGETHER)))
+    begin, filled = 0, 0
+    for i in range(n):
+        for j in range(i, n):
+            if d == 2:  # spelled out: a loop over two axes takes three times as long
+                x, y = points[0, j] - points[0, i], points[1, j] - points[1, i]
+                r2[filled] = x * x + y * y
+            else:
+                r2[filled] = 0.0
+                for axis in range(d):
+                    offset = points[axis, j] - points[axis, i]
+                    r2[filled] += offset * offset
+            filled += 1
+        if i + 1 < n and filled + n <= r2.size:
+            continue
+        for k in range(filled):
+            r2[k] = exp_neg(-0.5 * r2[k])
+        filled = 0
+        for row in range(begin, i + 1):
+            for j in range(row, n):
+                out[row, j] = r2[filled]
+                out[j, row] = r2[filled]
+                filled += 1
+        begin, filled = i + 1, 0
 
 
 @compiled

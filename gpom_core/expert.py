@@ -4,17 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import inf, isfinite
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core import lapack
 from gpom_core.errors import GpomError
+from gpom_core.inverse import inverse_spd
+from gpom_core.jit import compiled
 from gpom_core.kernels import gram
 from gpom_core.observations import Observations
 
 Gram = Callable[[NDArray[np.uint8], NDArray[np.float64], float], NDArray[np.float64]]
 """Kernel between all pairs of shapes, as `kernels.gram`."""
+
+_LOG_TWO_PI: Final = 1.8378770664093453
 
 
 class TrainingError(GpomError):
@@ -39,11 +45,13 @@ class Hyperparameters:
     def __post_init__(self) -> None:
         for name in ("length_scale_m", "signal_std", "hit_noise_scale", "free_noise_scale"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0.0):
+            if not 0.0 < value < inf:
                 raise ValueError(f"{name} is {value}, expected a positive number")
 
     def noise_variance(self, observations: Observations) -> NDArray[np.float64]:
         """Noise of each observation, (n,)."""
+        if self.hit_noise_scale == self.free_noise_scale == 1.0:
+            return observations.noise_variance
         hit = observations.targets > 0.0
         scale = np.where(hit, self.hit_noise_scale, self.free_noise_scale)
         return np.asarray(observations.noise_variance * scale**2)
@@ -92,22 +100,52 @@ def train(
     if len(observations) == 0:
         raise TrainingError("an expert needs at least one observation, got none")
     noise_variance = hyperparameters.noise_variance(observations)
-    observations = replace(observations, noise_variance=noise_variance)
+    if noise_variance is not observations.noise_variance:
+        observations = replace(observations, noise_variance=noise_variance)
     k = gram(observations.kinds, observations.geometry, hyperparameters.length_scale_m)
-    k *= hyperparameters.signal_std**2
-    k[np.diag_indices_from(k)] += noise_variance
-    log_determinant = lapack.inverse_spd(k, lapack.ADDRESSES)
-    if not np.isfinite(log_determinant):
+    weights, log_likelihood = _condition(
+        k, observations.targets, noise_variance, hyperparameters.signal_std**2, lapack.ADDRESSES
+    )
+    if not isfinite(log_likelihood):
         raise TrainingError(
             f"the covariance of {len(observations)} observations is not positive definite; "
             "check that their geometry and noise are finite"
         )
-    weights = k @ observations.targets
-    fit = float(observations.targets @ weights)
     return Expert(
         observations=observations,
         hyperparameters=hyperparameters,
         weights=weights,
         precision=k,
-        log_likelihood=-0.5 * (fit + log_determinant + len(k) * np.log(2.0 * np.pi)),
+        log_likelihood=log_likelihood,
     )
+
+
+@compiled
+def _condition(
+    k: NDArray[np.float64],
+    targets: NDArray[np.float64],
+    noise_variance: NDArray[np.float64],
+    signal_variance: float,
+    addresses: NDArray[np.int64],
+) -> tuple[NDArray[np.float64], float]:
+    """Turn the kernel (n, n) into the precision, in place.
+
+    Returns:
+        The weights (n,) and the log marginal likelihood, which is not finite when the covariance
+        is not positive definite.
+    """
+    n = len(k)
+    for i in range(n):
+        for j in range(n):
+            k[i, j] *= signal_variance
+        k[i, i] += noise_variance[i]
+    log_determinant = inverse_spd(k, addresses)
+    weights = np.zeros(n)
+    for j in range(n):
+        target, row = targets[j], k[j]
+        for i in range(n):
+            weights[i] += row[i] * target
+    fit = 0.0
+    for i in range(n):
+        fit += targets[i] * weights[i]
+    return weights, -0.5 * (fit + log_determinant + n * _LOG_TWO_PI)

@@ -22,7 +22,7 @@ from gpom_core.clusters import Clusters
 from gpom_core.config import MapConfig
 from gpom_core.errors import GpomError
 from gpom_core.expert import Hyperparameters, train
-from gpom_core.mapper import Mapper, TrainedExpert, as_member
+from gpom_core.mapper import Mapper, TrainedExpert
 from gpom_core.observations import Observations
 from gpom_core.rows import COORDINATE_LIMIT, NONE, Rows
 from gpom_core.snapshot import Snapshot
@@ -319,7 +319,7 @@ def _trainer(arrays: Image, start: NDArray[np.int64]) -> Callable[[int], Trained
         # The noise was scaled when it was dumped.
         plain = Hyperparameters(chosen.length_scale_m, chosen.signal_std)
         expert = replace(train(observations, plain), hyperparameters=chosen)
-        return as_member(
+        return TrainedExpert(
             int(arrays["expert_cluster"][i]),
             int(arrays["expert_revision"][i]),
             expert,

@@ -15,13 +15,20 @@ may be called from compiled code. They take C-contiguous float64 arrays (kinds: 
 """
 
 from enum import IntEnum
+from math import inf
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gpom_core.averages import interval_average, interval_variance, line_averages, line_gram
-from gpom_core.boxes import box_gram, box_rows
+from gpom_core.averages import (
+    interval_average,
+    interval_variance,
+    line_averages,
+    line_gram,
+    point_gram,
+)
+from gpom_core.boxes import BoxSides, box_gram, box_rows, box_sides
 from gpom_core.jit import compiled, vectorised
 from gpom_core.layout import line_nodes, whitened
 from gpom_core.special import exp_neg
@@ -67,9 +74,9 @@ def gram(kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike) -> _Flo
     Raises:
         ValueError: what is passed does not fit together, is not finite, or is no such shape.
     """
-    checked_kinds, checked_geometry, inverse = _check(kinds, geometry, length_scale)
+    checked_kinds, checked_geometry, inverse = _typed(kinds, geometry, length_scale)
     out = np.empty((checked_kinds.size, checked_kinds.size))
-    gram_into(checked_kinds, checked_geometry, inverse, out)
+    _refuse(_gram_or_fault(checked_kinds, checked_geometry, inverse, out))
     return out
 
 
@@ -122,6 +129,20 @@ def _check(
     kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike
 ) -> tuple[NDArray[np.uint8], _Floats, _Floats]:
     """Arguments as the compiled functions need them; the length scale inverted, (d,)."""
+    typed = _typed(kinds, geometry, length_scale)
+    _refuse(_fault(*typed))
+    return typed
+
+
+def _refuse(fault: int) -> None:
+    if fault:
+        raise ValueError(_FAULTS[fault])
+
+
+def _typed(
+    kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike
+) -> tuple[NDArray[np.uint8], _Floats, _Floats]:
+    """As `_check`, without a look at the numbers in kinds and geometry."""
     shapes = np.ascontiguousarray(geometry, dtype=np.float64)
     if shapes.ndim != 3 or shapes.shape[1] != 2 or shapes.shape[2] == 0:
         raise ValueError(f"geometry must have shape (n, 2, d) with d >= 1, got {shapes.shape}")
@@ -132,17 +153,14 @@ def _check(
     checked_kinds = np.ascontiguousarray(raw_kinds, dtype=np.uint8)
     if raw_kinds.dtype != np.uint8 and not np.array_equal(checked_kinds, raw_kinds):
         raise ValueError(_FAULTS[_UNKNOWN_KIND])
-    scale = np.asarray(length_scale, dtype=np.float64)
-    if scale.shape not in ((), (d,)):
-        raise ValueError(f"length_scale must be one number or ({d},), got shape {scale.shape}")
-    scales = np.full(d, scale)
-    if not all(0.0 < x < np.inf for x in scales.tolist()):
-        raise ValueError(f"length_scale must be finite and positive, got {scale.tolist()}")
-    inverse = 1.0 / scales
-    fault = _fault(checked_kinds, shapes, inverse)
-    if fault:
-        raise ValueError(_FAULTS[fault])
-    return checked_kinds, shapes, inverse
+    scales = np.asarray(length_scale, dtype=np.float64)
+    if scales.shape not in ((), (d,)):
+        raise ValueError(f"length_scale must be one number or ({d},), got shape {scales.shape}")
+    each = scales.tolist() if scales.ndim else [float(scales)] * d
+    for x in each:
+        if not 0.0 < x < inf:
+            raise ValueError(f"length_scale must be finite and positive, got {each}")
+    return checked_kinds, shapes, np.array([1.0 / x for x in each])
 
 
 @compiled
@@ -227,25 +245,62 @@ def gram_into(
     """`gram`, written into out (n, n); inverse_length_scale is (d,)."""
     lines = np.flatnonzero(kinds != _BOX)
     boxes = np.flatnonzero(kinds == _BOX)
+    size = lines.size
+    in_order = size == 0 or lines[size - 1] == size - 1
+    # Lines first, then boxes: then all loops are over neighbours.
+    ordered = out if in_order else np.empty(out.shape)
     start, span = whitened(geometry, lines, inverse_length_scale)
-    line_gram(start, span, lines, out)
-    if boxes.size == 0:
-        return
-    low, width = whitened(geometry, boxes, inverse_length_scale)
-    box_gram(low, width, boxes, out)
-    if lines.size > 0:
-        node, weight, first = line_nodes(start, span)
-        begin = first.astype(np.uint64)  # unsigned indices: no test for wrapping round
-        values = np.empty((boxes.size, weight.size))
-        box_rows(low, width, node, values)
+    if span.any():
+        line_gram(start, span, ordered)
+    else:
+        point_gram(start, ordered)
+    if boxes.size > 0:
+        low, width = whitened(geometry, boxes, inverse_length_scale)
+        sides = box_sides(low, width)
+        box_gram(sides, size, ordered)
+        values = _line_rows(sides, start, span)
         for b in range(boxes.size):
-            row = values[b]
-            for j in range(lines.size):
-                total = 0.0
-                for q in range(begin[j], begin[j + 1]):
-                    total += weight[q] * row[q]
-                out[boxes[b], lines[j]] = total
-                out[lines[j], boxes[b]] = total
+            for j in range(size):
+                ordered[size + b, j] = values[b, j]
+        for j in range(size):
+            for b in range(boxes.size):
+                ordered[j, size + b] = values[b, j]
+    if not in_order:
+        place = np.concatenate((lines, boxes))
+        for i in range(place.size):
+            for j in range(place.size):
+                out[place[i], place[j]] = ordered[i, j]
+
+
+@compiled
+def _gram_or_fault(
+    kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats, out: _Floats
+) -> int:
+    fault = _fault(kinds, geometry, inverse_length_scale)
+    if fault == 0:
+        gram_into(kinds, geometry, inverse_length_scale, out)
+    return fault
+
+
+@compiled
+def _line_rows(sides: BoxSides, start: _Floats, span: _Floats) -> _Floats:
+    """Kernel between b boxes and n lines (d, n), (b, n)."""
+    out = np.empty((sides.side.shape[1], start.shape[1]))
+    if not span.any():  # only points
+        box_rows(sides, start, out)
+        return out
+    node, weight, first = line_nodes(start, span)
+    begin = first.astype(np.uint64)  # unsigned indices: no test for wrapping round
+    at_nodes = np.empty((len(out), weight.size))
+    box_rows(sides, node, at_nodes)
+    for b in range(len(out)):
+        row = at_nodes[b]
+        for j in range(out.shape[1]):
+            total = 0.0
+            for q in range(begin[j], begin[j + 1]):
+                total += weight[q] * row[q]
+            out[b, j] = total
+    return out
 
 
 @compiled
@@ -262,6 +317,7 @@ def cross_into(
     boxes = np.flatnonzero(kinds == _BOX)
     start, span = whitened(geometry, lines, inverse_length_scale)
     low, width = whitened(geometry, boxes, inverse_length_scale)
+    sides = box_sides(low, width)
     for begin in range(0, m, _BLOCK):
         size = min(_BLOCK, m - begin)
         block = np.empty((d, size))
@@ -272,7 +328,7 @@ def cross_into(
         _line_cross(start, span, block, lines, rows)
         if boxes.size > 0:
             values = np.empty((boxes.size, size))
-            box_rows(low, width, block, values)
+            box_rows(sides, block, values)
             for k in range(size):
                 for b in range(boxes.size):
                     rows[k, boxes[b]] = values[b, k]

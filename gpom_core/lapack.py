@@ -39,7 +39,7 @@ def _call5(typing_context: Any, address: Any, a: Any, b: Any, c: Any, d: Any, e:
 
 
 @compiled
-def inverse_spd(k: Any, addresses: Any) -> float:
+def inverse_by_lapack(k: Any, addresses: Any) -> float:
     """Replace a symmetric positive definite matrix (n, n) by its inverse.
 
     Args:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import lapack
+from gpom_core.inverse import inverse_spd
 from gpom_core.jit import compiled
 from gpom_core.kernel_gradients import gram_with_slope_into
 
@@ -53,7 +53,7 @@ def log_likelihood(
         for j in range(n):
             precision[i, j] *= signal
         precision[i, i] += noise[i]
-    log_determinant = lapack.inverse_spd(precision, addresses)
+    log_determinant = inverse_spd(precision, addresses)
     weights = np.zeros(n)
     fit = 0.0
     for i in range(n):

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from gpom_core.calibration import DEFAULT_SLOPE, Calibration
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence, UpdateReport
-from gpom_core.expert import Expert, Hyperparameters, TrainingError, train
+from gpom_core.expert import Hyperparameters, TrainingError, train
 from gpom_core.learning import LearningRule, learn
-from gpom_core.member import TILE_M, Bounds, Member
+from gpom_core.member import Member
 from gpom_core.observations import Observations
-from gpom_core.reach import reach_of
 from gpom_core.recalibration import recalibrated
 from gpom_core.scan import Scan
-from gpom_core.snapshot import CUTOFF_SCALES, Snapshot
+from gpom_core.snapshot import Snapshot
 
 __all__ = ["Mapper", "TrainedExpert", "TrainingJob", "UpdateReport"]
 
@@ -58,7 +57,7 @@ class TrainingJob:
                 clock=monotonic,
             ).hyperparameters
         expert = train(self.observations, chosen)
-        return as_member(self.cluster_id, self.revision, expert, self.line)
+        return TrainedExpert(self.cluster_id, self.revision, expert, self.line)
 
 
 def _run_or_error(job: TrainingJob) -> TrainedExpert | TrainingError:
@@ -66,28 +65,6 @@ def _run_or_error(job: TrainingJob) -> TrainedExpert | TrainingError:
         return job.run()
     except TrainingError as error:
         return error
-
-
-def as_member(
-    cluster_id: int, revision: int, expert: Expert, line: NDArray[np.float64]
-) -> TrainedExpert:
-    """A trained expert of a cluster, ready to be swapped in.
-
-    Args:
-        revision: of the evidence that it was trained on. line: (2, 2) ends of the cluster's line.
-    """
-    geometry = expert.observations.geometry
-    low, high = geometry.min(axis=(0, 1)), geometry.max(axis=(0, 1))
-    bounds: Bounds = (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
-    cutoff = CUTOFF_SCALES * expert.hyperparameters.length_scale_m
-    return TrainedExpert(
-        cluster_id=cluster_id,
-        revision=revision,
-        expert=expert,
-        reach=reach_of(geometry, TILE_M, cutoff),
-        line=line,
-        bounds=bounds,
-    )
 
 
 def learning_rule(config: MapConfig) -> LearningRule | None:

@@ -39,22 +39,47 @@ def sides_of(
     kinds: NDArray[np.uint8], geometry: NDArray[np.float64], length_scale_m: float
 ) -> Sides:
     """Find the distinct edges of the boxes among observations (n, 2, 2)."""
-    boxes = np.flatnonzero(kinds == BOX)
-    corners = np.zeros((len(kinds), 4), np.int32)
-    factor = np.zeros(len(kinds))
-    factor[boxes] = _HALF_PI
-    edges = np.empty(4 * len(boxes))
+    n = len(kinds)
+    corners, factor = np.zeros((n, 4), np.int32), np.zeros(n)
+    edges = np.empty(4 * n)
     size = 0
     for axis in range(2):
-        low = geometry[:, 0, axis].copy()[boxes] / length_scale_m
-        high = geometry[:, 1, axis].copy()[boxes] / length_scale_m
-        width = np.maximum(high - low, _THINNEST)
-        factor[boxes] /= width
-        low *= SQRT_HALF
-        high = low + SQRT_HALF * width
-        distinct = np.unique(np.concatenate((low, high)))
-        corners[boxes, 2 * axis] = size + np.searchsorted(distinct, low)
-        corners[boxes, 2 * axis + 1] = size + np.searchsorted(distinct, high)
-        edges[size : size + len(distinct)] = distinct
-        size += len(distinct)
+        begin = size
+        for i in range(n):
+            if kinds[i] != BOX:
+                continue
+            low = geometry[i, 0, axis] / length_scale_m
+            width = max(geometry[i, 1, axis] / length_scale_m - low, _THINNEST)
+            low *= SQRT_HALF
+            factor[i] = (_HALF_PI if axis == 0 else factor[i]) / width
+            for end in range(2):
+                edge = low + SQRT_HALF * width if end == 1 else low
+                at = size - 1  # what came last is met again first
+                while at >= begin and edges[at] != edge:
+                    at -= 1
+                if at < begin:
+                    edges[size] = edge
+                    at = size
+                    size += 1
+                corners[i, 2 * axis + end] = at
+        _sort(kinds, edges[begin:size], corners[:, 2 * axis : 2 * axis + 2], begin)
     return Sides(edges[:size].copy(), corners, factor)
+
+
+@compiled
+def _sort(
+    kinds: NDArray[np.uint8],
+    edges: NDArray[np.float64],
+    corners: NDArray[np.int32],
+    begin: int,
+) -> None:
+    """Sort edges numbered from `begin` on, and renumber them in corners (n, 2)."""
+    order = np.argsort(edges)
+    rank = np.empty(len(edges), np.int32)
+    for r in range(len(order)):
+        rank[order[r]] = begin + r
+    edges[:] = edges[order]
+    for i in range(len(corners)):
+        if kinds[i] == BOX:
+            for end in range(2):
+                corners[i, end] = rank[corners[i, end] - begin]

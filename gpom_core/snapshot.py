@@ -15,13 +15,10 @@ from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
 from gpom_core.extent import in_main_places
 from gpom_core.field import Field
-from gpom_core.member import SECTOR_M, Bounds, Member, sector_key
+from gpom_core.member import CUTOFF_SCALES, SECTOR_M, Bounds, Member, sector_key
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
 from gpom_core.sector import Sector, build_sector, committee_sums, few_sums
 
-# Evidence farther away is left out. The inverse matrices' large entries make distant values count:
-# on a real log this moves no probability by 4e-4, while 4 length scales moved some by 8e-3.
-CUTOFF_SCALES = 4.75
 NEGLIGIBLE = float(np.exp(-0.5 * CUTOFF_SCALES**2))  # of the signal variance
 FEW_POINTS = 4  # in one sector; in 0.1 ms other threads get nothing done that is worth a switch
 MAX_GRID_CELLS = 200_000_000
@@ -271,7 +268,7 @@ class Snapshot:
 
         def content(member: Member) -> Iterator[dict[int, Member]]:
             areas.append(_reach(member))
-            tiles.append(member.reach.tiles)
+            tiles.append(member.tiles)
             for key in member.sectors:
                 if key not in touched:
                     touched[key] = dict(sectors[key].members) if key in sectors else {}

@@ -18,7 +18,7 @@ from scipy.linalg import lapack
 from clients.protocol import read_scans
 from gpom_core.evidence import Evidence
 from gpom_core.kernels import gram
-from gpom_core.mapper import Mapper, TrainedExpert, as_member
+from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
 from gpom_core.wire import decode, encode
@@ -147,8 +147,16 @@ def test_training_beside_lapack(mapper: Mapper) -> None:
     def whole() -> list[TrainedExpert]:
         from gpom_core.expert import train  # noqa: PLC0415 - beside what it is compared with
 
-        return [as_member(m.cluster_id, 1, train(*job), m.line)
+        return [TrainedExpert(m.cluster_id, 1, train(*job), m.line)
                 for m, job in zip(members, jobs, strict=True)]  # fmt: skip
+
+    def take() -> float:
+        """Processor time that handing out all jobs costs the thread that owns the mapper."""
+        for m, (o, h) in zip(members, jobs, strict=True):
+            mapper.fail(TrainingJob(m.cluster_id, m.revision, o, h, m.line))
+        start_s = time.thread_time()
+        mapper.take_jobs(len(members))
+        return time.thread_time() - start_s
 
     solve_s, invert_s = cpu_s(factorise), cpu_s(lambda: factorise(invert=True))
     kernels_s, whole_s = cpu_s(kernels), cpu_s(whole)
@@ -162,6 +170,7 @@ def test_training_beside_lapack(mapper: Mapper) -> None:
             "cholesky_and_inverse_s": rounded(invert_s),
             "kernels_s": rounded(kernels_s),
             "train_all_s": rounded(whole_s),
+            "take_all_jobs_s": rounded(median(take() for _ in range(4))),
             "times_cholesky_and_solve": rounded(whole_s / solve_s),
         },
     )

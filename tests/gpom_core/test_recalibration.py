@@ -8,7 +8,7 @@ import pytest
 from gpom_core.calibration import Calibration
 from gpom_core.committee import fuse
 from gpom_core.expert import Hyperparameters, train
-from gpom_core.mapper import Mapper, as_member
+from gpom_core.mapper import Mapper, TrainedExpert
 from gpom_core.observations import Observations
 from gpom_core.recalibration import leave_one_out, recalibrated
 from gpom_core.snapshot import Snapshot
@@ -28,7 +28,7 @@ def some_places(seed: int, x: float) -> Observations:
 
 def committee(*experts: Observations) -> Snapshot:
     line = np.zeros((2, 2))
-    members = [as_member(i, 1, train(o, HYPERPARAMETERS), line) for i, o in enumerate(experts)]
+    members = [TrainedExpert(i, 1, train(o, HYPERPARAMETERS), line) for i, o in enumerate(experts)]
     return Snapshot().swapped(members)
 
 

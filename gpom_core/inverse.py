@@ -1,0 +1,204 @@
+"""Inverse of a symmetric positive definite matrix, and its determinant; compiled.
+
+LAPACK is made for matrices of hundreds of rows: at the 60 to 150 of an expert its factor and
+inverse take twice as long as this. The sweep operator (Goodnight 1979) turns eight rows at a time
+into their part of the inverse, in place, by way of their Cholesky factor, so that errors are those
+of Cholesky's method. What it costs is one product over vectors of eight, n^3 / 2 in all.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpom_core.jit import compiled
+from gpom_core.lanes import LANES, load, spread, store
+from gpom_core.lapack import inverse_by_lapack
+
+_Floats = NDArray[np.float64]
+
+LARGEST_SWEPT: Final = 512  # rows; beyond, the matrix leaves the cache and LAPACK is as fast
+
+
+@compiled
+def inverse_spd(k: _Floats, addresses: NDArray[np.int64]) -> float:
+    """Replace a symmetric positive definite matrix (n, n) by its inverse.
+
+    Args:
+        k: C-ordered, only its upper triangle is read.
+        addresses: `lapack.ADDRESSES`.
+
+    Returns:
+        The log determinant, or NaN when `k` is not positive definite.
+    """
+    n = len(k)
+    if n > LARGEST_SWEPT:
+        return inverse_by_lapack(k, addresses)
+    blocks = (n + LANES - 1) // LANES
+    edge = blocks * LANES
+    a = np.empty((edge, edge))  # whole vectors; what is beyond n is the identity
+    _copy_in(k, a)
+    corner, shares = np.empty((LANES, LANES)), np.empty(LANES)
+    half, whole = np.empty((LANES, edge)), np.empty((LANES, edge))
+    log_determinant = 0.0
+    for block in range(blocks):
+        _take(a, block, half, corner)
+        gained = _factorise(corner, shares)
+        if not gained < np.inf:
+            return np.nan
+        log_determinant += gained
+        _solve(corner, shares, half.ctypes.data, whole.ctypes.data, blocks)
+        _subtract(a.ctypes.data, blocks, block, half)
+        _put(a, block, whole)
+    _copy_out(a, k)
+    return log_determinant
+
+
+@compiled
+def _copy_in(k: _Floats, a: _Floats) -> None:
+    n, edge = len(k), len(a)
+    source, target = k.ctypes.data, a.ctypes.data
+    whole, blocks = n // LANES, edge // LANES
+    for i in range(n):
+        for chunk in range(i // LANES, whole):
+            store(target, i * blocks + chunk, load(source + 8 * i * n, chunk))
+        for j in range(whole * LANES, n):
+            a[i, j] = k[i, j]
+        for j in range(n, edge):
+            a[i, j] = 0.0
+    for i in range(n, edge):
+        for j in range(whole * LANES, edge):
+            a[i, j] = 1.0 if i == j else 0.0
+
+
+@compiled
+def _copy_out(a: _Floats, k: _Floats) -> None:
+    """Write minus the upper triangle, and its mirror image, block by block."""
+    n, edge = len(k), len(a)
+    source, target = a.ctypes.data, k.ctypes.data
+    whole, blocks = n // LANES, edge // LANES
+    zero = spread(0.0)
+    block = np.empty((LANES, LANES))
+    kept = block.ctypes.data
+    for chunk in range(whole):
+        for row in range(chunk):
+            for p in range(LANES):
+                i = row * LANES + p
+                values = zero - load(source, i * blocks + chunk)
+                store(target + 8 * i * n, chunk, values)
+                store(kept, p, values)
+            for q in range(LANES):
+                mirrored = k[chunk * LANES + q, row * LANES : row * LANES + LANES]
+                for p in range(LANES):
+                    mirrored[p] = block[p, q]
+    for chunk in range(blocks):
+        low, high = chunk * LANES, min(chunk * LANES + LANES, n)
+        for j in range(low, high):
+            for i in range(0 if chunk == whole else low, j + 1):
+                k[i, j] = -a[i, j]
+                k[j, i] = -a[i, j]
+
+
+@compiled
+def _take(a: _Floats, block: int, rows: _Floats, corner: _Floats) -> None:
+    """Copy a block's rows (8, n), from the upper triangle, and where they cross its columns.
+
+    There the rows become the identity, so that solving makes it the inverse of the corner.
+    """
+    at, blocks = block * LANES, len(a) // LANES
+    source, target = a.ctypes.data, rows.ctypes.data
+    for i in range(at):
+        for p in range(LANES):
+            rows[p, i] = a[i, at + p]
+    for p in range(LANES):
+        for q in range(LANES):
+            corner[p, q] = a[at + q, at + p] if q < p else a[at + p, at + q]
+            rows[p, at + q] = 1.0 if p == q else 0.0
+        for chunk in range(block + 1, blocks):
+            store(target, p * blocks + chunk, load(source, (at + p) * blocks + chunk))
+
+
+@compiled
+def _factorise(corner: _Floats, shares: _Floats) -> float:
+    """Cholesky's lower factor of a block (8, 8), in place; log determinant, NaN if it has none.
+
+    Args:
+        shares: (8,) one over the diagonal of the factor, out.
+    """
+    log_determinant = 0.0
+    for p in range(LANES):
+        pivot = corner[p, p]
+        for q in range(p):
+            pivot -= corner[p, q] * corner[p, q]
+        if not 0.0 < pivot < np.inf:
+            return np.nan
+        log_determinant += np.log(pivot)
+        shares[p] = 1.0 / np.sqrt(pivot)
+        for i in range(p + 1, LANES):
+            value = corner[i, p]
+            for q in range(p):
+                value -= corner[i, q] * corner[p, q]
+            corner[i, p] = value * shares[p]
+    return log_determinant
+
+
+@compiled
+def _solve(corner: _Floats, shares: _Floats, half: int, whole: int, blocks: int) -> None:
+    """Solve with the factor, in place, and with its transpose, into `whole`; (8, n) by address.
+
+    With the factor and not with the inverse of the corner: what is subtracted later would have
+    the square of its condition in the error.
+    """
+    for chunk in range(blocks):
+        for p in range(LANES):
+            row = load(half, p * blocks + chunk)
+            for q in range(p):
+                row = row - spread(corner[p, q]) * load(half, q * blocks + chunk)
+            store(half, p * blocks + chunk, row * spread(shares[p]))
+        for back in range(LANES):
+            p = LANES - 1 - back
+            row = load(half, p * blocks + chunk)
+            for q in range(p + 1, LANES):
+                row = row - spread(corner[q, p]) * load(whole, q * blocks + chunk)
+            store(whole, p * blocks + chunk, row * spread(shares[p]))
+
+
+@compiled
+def _subtract(a: int, blocks: int, block: int, rows: _Floats) -> None:
+    """Subtract the product of rows (8, n) with themselves, in the upper triangle, off the block."""
+    for i in range(0, blocks * LANES, 4):
+        if i // LANES == block:
+            continue
+        for chunk in range(i // LANES, blocks):
+            if chunk == block:
+                continue
+            at = i * blocks + chunk
+            u, v = load(a, at), load(a, at + blocks)
+            w, x = load(a, at + 2 * blocks), load(a, at + 3 * blocks)
+            for p in range(LANES):
+                row = load(rows.ctypes.data, p * blocks + chunk)
+                u = u - spread(rows[p, i]) * row
+                v = v - spread(rows[p, i + 1]) * row
+                w = w - spread(rows[p, i + 2]) * row
+                x = x - spread(rows[p, i + 3]) * row
+            store(a, at, u)
+            store(a, at + blocks, v)
+            store(a, at + 2 * blocks, w)
+            store(a, at + 3 * blocks, x)
+
+
+@compiled
+def _put(a: _Floats, block: int, rows: _Floats) -> None:
+    """Write what became of a block's rows (8, n) into the upper triangle."""
+    at, blocks = block * LANES, len(a) // LANES
+    target, source = a.ctypes.data, rows.ctypes.data
+    for i in range(at):
+        for p in range(LANES):
+            a[i, at + p] = rows[p, i]
+    for p in range(LANES):
+        for q in range(LANES):
+            a[at + p, at + q] = -rows[p, at + q]
+        for chunk in range(block + 1, blocks):
+            store(target, (at + p) * blocks + chunk, load(source, p * blocks + chunk))
