@@ -78,12 +78,17 @@ def gpom_map(
         "observations": mapper.observation_count,
         "trained_observations": sum(len(m.expert.observations) for m in snapshot.members.values()),
         "memory_bytes": sum(member.size_bytes for member in snapshot.members.values()),
-        "slope": snapshot.calibration.slope,
+        "link": [round(weight, 3) for weight in snapshot.link.weights],
     }
     entered = [Contender(f"gpom {name}", _ask(snapshot, name), facts) for name in fusions]
     if uncalibrated:
-        plain = snapshot.with_calibration(Calibration())
-        entered.append(Contender("gpom uncalibrated", _ask(plain, fusions[0]), facts))
+        plain = Calibration()
+
+        def predict(points: Floats) -> tuple[Floats, Bools]:
+            answer = snapshot.query(points, fusions[0])
+            return plain.probability(answer.mean, answer.variance), answer.known
+
+        entered.append(Contender("gpom uncalibrated", predict, facts))
     return entered
 
 

@@ -15,7 +15,7 @@ K, y                 `expert.train`: Gram matrix and targets, +1 hit, -1 free (e
 m_i, v_i             mean and variance of expert i
 p_i, p_0             prior variance of expert i and of the committee
 eta, Lambda          information and precision of the committee (eq. 13, corrected)
-a, b                 `calibration.Calibration`, from mean and variance to probability
+a, b                 `calibration.Calibration` of the paper's batch maps; online it is `link.Link`
 Algorithm 1          `lines.track_lines`
 ===================  ====================================================================
 

@@ -27,7 +27,7 @@ def changed_squares(before: Snapshot, now: Snapshot) -> set[Square]:
 
 
 def _rules(snapshot: Snapshot) -> tuple[object, ...]:
-    return snapshot.calibration, snapshot.prior_variance, snapshot.known_variance_ratio
+    return snapshot.link, snapshot.prior_variance, snapshot.known_variance_ratio
 
 
 def _square(key: int) -> Square:

@@ -58,7 +58,8 @@ class Field:
         sectors: of the map. reach: what evidence can touch; beyond all is unknown.
         fusion: the contributions of `poe` are those of `bcm`, only its prior differs.
         negligible: as `opinions.tile_sums`.
-        prior_variance, slope: of the map, to tell what an error means for probabilities.
+        prior_variance, weights: of the map and its `Link`: what an error means for
+            probabilities.
     """
 
     def __init__(
@@ -69,14 +70,14 @@ class Field:
         *,
         negligible: float,
         prior_variance: float,
-        slope: float,
+        weights: tuple[float, ...],
     ) -> None:
         self._sectors = tuple(sectors.values())
         self._reach = np.array(reach)
         self._rule = Fusion.RBCM if fusion is Fusion.RBCM else Fusion.BCM
         self._negligible = negligible
         self._prior_variance = prior_variance
-        self._slope = slope
+        self._weights = np.array(weights)
         self._bytes_max = BYTES_MAX
         self._keys = np.array(list(sectors), np.int64)
         self._slots = slots_of(self._keys)
@@ -154,7 +155,7 @@ class Field:
         return fill_tile(
             corner, sector.tables, sector.scales,
             sector.entries[sector.starts[tile] : sector.starts[tile + 1]], int(self._rule),
-            self._negligible, self._prior_variance, self._slope, TOLERANCE,
+            self._negligible, self._prior_variance, self._weights, TOLERANCE,
         )  # fmt: skip
 
     def _forget(self) -> None:

@@ -7,9 +7,10 @@ do not check their indices, so every index, size and number is checked here firs
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,18 +18,20 @@ from numpy.typing import NDArray
 from gpom_core import clusters as cluster_room
 from gpom_core import rows as row_room
 from gpom_core import tiles as tile_room
-from gpom_core.calibration import Calibration
 from gpom_core.clusters import Clusters
 from gpom_core.config import MapConfig
-from gpom_core.errors import GpomError
+from gpom_core.errors import GpomError, InvalidScanError
 from gpom_core.expert import Hyperparameters, train
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper, TrainedExpert
 from gpom_core.observations import Observations
+from gpom_core.recalibration import SCANS
 from gpom_core.rows import COORDINATE_LIMIT, NONE, Rows
+from gpom_core.scan import Pose2D, Scan
 from gpom_core.snapshot import Snapshot
 from gpom_core.tiles import Tiles
 
-VERSION = 1
+VERSION = 2
 """Of the set of arrays; a higher one is refused."""
 
 LENGTH_SCALES_MAX = 50.0  # times the configured one: an expert's index grows with its square
@@ -39,8 +42,11 @@ Image = Mapping[str, NDArray[np.generic]]
 _ANY = -1
 _SHAPES: dict[str, tuple[str, tuple[int, ...]]] = {
     "version": ("int64", ()),
-    "counters": ("int64", (4,)),  # scans, calibrated, uncalibrated, map version
-    "calibration": ("float64", (2,)),
+    "counters": ("int64", (5,)),  # scans, those that told, calibrated, uncalibrated, map version
+    "link": ("float64", (5,)),
+    "kept_frame": ("float64", (_ANY, 7)),  # pose, first angle, increment, range limits
+    "kept_ranges": ("float32", (_ANY,)),
+    "kept_start": ("int64", (_ANY,)),
     "gone": ("int64", (_ANY,)),
     "row_keys": ("int64", (_ANY, 2)),
     "row_kind": ("uint8", (_ANY,)),
@@ -92,10 +98,17 @@ def dump(mapper: Mapper) -> dict[str, NDArray[np.generic]]:
     return {
         "version": np.array(VERSION, np.int64),
         "counters": np.array(
-            [mapper.scan_count, mapper._calibrated, mapper._uncalibrated, snapshot.version],
+            [
+                mapper.scan_count,
+                mapper._telling,
+                mapper._calibrated,
+                mapper._uncalibrated,
+                snapshot.version,
+            ],
             np.int64,
         ),
-        "calibration": np.array([snapshot.calibration.slope, snapshot.calibration.offset]),
+        "link": np.array(snapshot.link.weights),
+        **_dump_scans(mapper.kept_scans),
         "gone": np.array(sorted(mapper._gone), np.int64),
         "row_keys": rows.keys[:r].copy(),
         "row_kind": rows.kind[:r].copy(),
@@ -134,11 +147,12 @@ def load(image: Image, config: MapConfig, executor: Executor | None = None) -> M
     evidence.rows = _load_rows(arrays, config)
     evidence.tiles = _load_tiles(arrays)
     evidence.clusters = _load_clusters(arrays, evidence.rows)
-    scans, calibrated, uncalibrated, version = (int(value) for value in arrays["counters"])
-    mapper._scans, mapper._calibrated, mapper._uncalibrated = scans, calibrated, uncalibrated
+    mapper._scans, mapper._telling, mapper._calibrated, mapper._uncalibrated, version = (
+        int(value) for value in arrays["counters"]
+    )
+    mapper._kept = _load_scans(arrays)
     mapper._gone = set(arrays["gone"].tolist())
-    slope, offset = (float(value) for value in arrays["calibration"])
-    empty = replace(mapper.snapshot(), calibration=Calibration(slope, offset))
+    empty = replace(mapper.snapshot(), link=_load_link(arrays))
     members = _load_experts(arrays, config, executor)
     mapper._snapshot = replace(empty.swapped(members), version=version)
     return mapper
@@ -156,6 +170,41 @@ def _order(rows: Rows, clusters: Clusters) -> NDArray[np.int64]:
             n += 1
             row = after[row]
     return out
+
+
+def _dump_scans(scans: Sequence[Scan]) -> dict[str, NDArray[np.generic]]:
+    """What calibration needs of a scan."""
+    frames = [
+        (*s.pose, s.angle_min_rad, s.angle_increment_rad, s.range_min_m, s.range_max_m)
+        for s in scans
+    ]
+    ranges = [np.empty(0, np.float32), *(s.ranges_m for s in scans)]
+    return {
+        "kept_frame": np.array(frames, np.float64).reshape(-1, 7),
+        "kept_ranges": np.concatenate(ranges),
+        "kept_start": np.cumsum([0, *(len(s.ranges_m) for s in scans)], dtype=np.int64),
+    }
+
+
+def _load_scans(arrays: Image) -> list[Scan]:
+    frames, ranges = arrays["kept_frame"].tolist(), arrays["kept_ranges"]
+    start = arrays["kept_start"].tolist()
+    whole = len(start) == len(frames) + 1 and start[0] == 0 and start[-1] == len(ranges)
+    _require(whole and sorted(start) == start and len(frames) <= SCANS, "kept_start does not fit")
+    try:
+        return [
+            Scan(Pose2D(x, y, yaw), np.asarray(ranges[first:end], np.float32), *rest)
+            for (x, y, yaw, *rest), (first, end) in zip(frames, pairwise(start), strict=True)
+        ]
+    except InvalidScanError as error:
+        raise InvalidImageError(f"this is not the state of a map: a kept scan: {error}") from None
+
+
+def _load_link(arrays: Image) -> Link:
+    try:
+        return Link(tuple(arrays["link"].tolist()))
+    except ValueError as error:
+        raise InvalidImageError(f"this is not the state of a map: {error}") from None
 
 
 def _dump_experts(snapshot: Snapshot) -> dict[str, NDArray[np.generic]]:

@@ -13,16 +13,15 @@ from numba import carray
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, vectorised
+from gpom_core.link import probability
 from gpom_core.member import SECTOR_SHIFT, SECTOR_TILES, TILE_M, TILES_IN_SECTOR
 from gpom_core.opinions import tile_sums
 from gpom_core.pages import INTERVAL_BITS, NOT_FILLED, NOTHING
 from gpom_core.pointers import pointer
 from gpom_core.reach import tile_key
-from gpom_core.special import erf
 
 COARSEST: Final = 8  # intervals along the edge of a tile
 FINEST: Final = 32
-_SQRT_HALF: Final = 0.7071067811865476
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.int64]
@@ -37,7 +36,7 @@ def fill_tile(
     fusion: int,
     negligible: float,
     prior_variance: float,
-    slope: float,
+    weights: _Floats,
     tolerance: float,
 ) -> NDArray[np.float32]:
     """Nodes of one tile, as coarse as the tolerance allows.
@@ -47,7 +46,7 @@ def fill_tile(
     Args:
         corner: (2,) low corner of the tile, metres.
         tables, scales: of the `Sector`. entries: (e, 3) those of the tile.
-        slope: of the calibration. tolerance: of the probability.
+        weights: (5,) of the `Link`. tolerance: of the probability.
 
     Returns:
         (n + 1, n + 1, 2) precision and information of the experts, without the prior; axis 0 is x.
@@ -62,7 +61,7 @@ def fill_tile(
         error = _worst_error(
             _middles(precision), _middles(information),
             _lattice(corner, n, n, 0.5, tables, scales, entries, fusion, negligible),
-            1.0 / prior_variance, slope,
+            1.0 / prior_variance, weights,
         )  # fmt: skip
         if error <= tolerance:
             break
@@ -95,22 +94,18 @@ def _middles(nodes: _Floats) -> _Floats:
     return 0.25 * (nodes[:-1, :-1] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[1:, 1:])
 
 
-@vectorised
-def _probability(precision: float, information: float, slope: float) -> float:
-    score = slope * information / np.sqrt(precision * (precision + slope * slope))
-    return 0.5 + 0.5 * erf(_SQRT_HALF * score)
-
-
 @compiled
 def _worst_error(
     precision: _Floats, information: _Floats, exact: tuple[_Floats, _Floats],
-    prior_precision: float, slope: float,
+    prior: float, weights: _Floats,
 ) -> float:  # fmt: skip
+    """Largest difference of probabilities; `prior` is the precision of the prior."""
     worst = 0.0
     for i in range(len(precision)):
         for j in range(len(precision)):
-            p = _probability(precision[i, j] + prior_precision, information[i, j], slope)
-            q = _probability(exact[0][i, j] + prior_precision, exact[1][i, j], slope)
+            total, truth = precision[i, j] + prior, exact[0][i, j] + prior
+            p = probability(information[i, j] / total, min(prior / total, 1.0), weights)
+            q = probability(exact[1][i, j] / truth, min(prior / truth, 1.0), weights)
             worst = max(worst, abs(p - q))
     return worst
 

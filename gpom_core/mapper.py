@@ -4,29 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.calibration import DEFAULT_SLOPE, Calibration
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence, UpdateReport
 from gpom_core.expert import Hyperparameters, TrainingError, train
 from gpom_core.learning import LearningRule, learn
+from gpom_core.link import Link
 from gpom_core.member import Member
 from gpom_core.observations import Observations
-from gpom_core.recalibration import recalibrated
+from gpom_core.recalibration import SCANS, CalibrationJob
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
 
-__all__ = ["Mapper", "TrainedExpert", "TrainingJob", "UpdateReport"]
+__all__ = ["CalibrationJob", "Mapper", "TrainedExpert", "TrainingJob", "UpdateReport"]
 
 TrainedExpert = Member
 
-CALIBRATE_AFTER = 2.0  # times the map was trained anew since the last calibration
-SLOPE_TOLERANCE = 0.02  # smaller changes move no probability by more than 0.003
+CALIBRATE_AFTER = 4.0  # times the map was trained anew since the last calibration, which costs two
+LINK_TOLERANCE = 0.003  # of a probability; a smaller change is not worth a new picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,12 +94,13 @@ class Mapper:
         self._gone: set[int] = set()
         self._splits: list[tuple[int, int]] = []  # cluster, its new half; in order
         self._scans = 0
+        self._kept: list[Scan] = []  # a fair draw of the scans that brought something new
+        self._telling = 0  # how many did
         self._calibrated = 0  # observations in the map when it was calibrated
         self._uncalibrated = 0  # observations trained since
         self._snapshot = Snapshot(
             prior_variance=self.config.signal_std**2,
             known_variance_ratio=self.config.known_variance_ratio,
-            calibration=Calibration(DEFAULT_SLOPE),
         )
 
     @property
@@ -111,6 +112,11 @@ class Mapper:
     def observation_count(self) -> int:
         """Rows of merged evidence."""
         return self._evidence.observation_count
+
+    @property
+    def kept_scans(self) -> tuple[Scan, ...]:
+        """Those that the map is calibrated by."""
+        return tuple(self._kept)
 
     @property
     def expert_count(self) -> int:
@@ -138,7 +144,22 @@ class Mapper:
         """
         report = self._evidence.add(scan)
         self._scans += 1
+        if report.new_observations > 0:
+            self._keep(scan)
         return report
+
+    def _keep(self, scan: Scan) -> None:
+        """Keep a fair draw of `SCANS` scans to calibrate by: Vitter's algorithm R (1985).
+
+        Numbers are drawn by a hash of how many there were, so that a restart changes nothing.
+        """
+        self._telling += 1
+        if len(self._kept) < SCANS:
+            self._kept.append(scan)
+            return
+        place = int(np.random.default_rng(self._telling).integers(self._telling))
+        if place < SCANS:
+            self._kept[place] = scan
 
     def take_jobs(self, limit: int) -> list[TrainingJob]:
         """At most `limit` dirty experts to train, most changed first.
@@ -190,6 +211,10 @@ class Mapper:
 
         A result older than what the map holds, or of a cluster that is gone, is discarded.
         """
+        self._snapshot = self._swapped(trained)
+        return self._snapshot
+
+    def _swapped(self, trained: Sequence[TrainedExpert]) -> Snapshot:
         fresh = []
         for member in trained:
             self._training.discard(member.cluster_id)
@@ -198,13 +223,10 @@ class Mapper:
             if not stale and self._evidence.clusters.rows[member.cluster_id] > 0:
                 fresh.append(member)
         gone, self._gone = self._gone, set()
-        if fresh or gone:
-            snapshot = self._snapshot.swapped(fresh, gone)
-            self._uncalibrated += sum(len(member.expert.observations) for member in fresh)
-            if self._uncalibrated > CALIBRATE_AFTER * self._calibrated:
-                snapshot = self._calibrate(snapshot)
-            self._snapshot = snapshot
-        return self._snapshot
+        if not (fresh or gone):
+            return self._snapshot
+        self._uncalibrated += sum(len(member.expert.observations) for member in fresh)
+        return self._snapshot.swapped(fresh, gone)
 
     def fail(self, job: TrainingJob) -> None:
         """A job did not end well: its expert is dirty again."""
@@ -229,8 +251,10 @@ class Mapper:
             for job in jobs:
                 self.fail(job)
             raise
-        self._calibrated = 0  # whatever was trained, this version is calibrated
-        snapshot = self.swap([outcome for outcome in outcomes if isinstance(outcome, Member)])
+        snapshot = self._swapped([outcome for outcome in outcomes if isinstance(outcome, Member)])
+        if self._uncalibrated > 0:
+            snapshot = snapshot.with_link(self._calibration_of(snapshot).run())
+        self._snapshot = snapshot
         errors = [outcome for outcome in outcomes if isinstance(outcome, TrainingError)]
         for job, outcome in zip(jobs, outcomes, strict=True):
             if isinstance(outcome, TrainingError):
@@ -239,15 +263,23 @@ class Mapper:
             raise errors[0]
         return snapshot
 
-    def _calibrate(self, snapshot: Snapshot) -> Snapshot:
-        """`snapshot` with its calibration fitted anew, if that matters.
+    def take_calibration(self) -> CalibrationJob | None:
+        """The calibration to make, if much of the map is new since the last; else None.
 
-        It costs 60 ms and happens each time much of the map is new, so it is seldom.
+        Give its result to `calibrate`.
         """
+        due = self._uncalibrated > CALIBRATE_AFTER * self._calibrated
+        return self._calibration_of(self._snapshot) if due else None
+
+    def _calibration_of(self, snapshot: Snapshot) -> CalibrationJob:
         members = snapshot.members.values()
         self._calibrated = sum(len(member.expert.observations) for member in members)
         self._uncalibrated = 0
-        calibration = recalibrated(snapshot)
-        if abs(calibration.slope / snapshot.calibration.slope - 1.0) <= SLOPE_TOLERANCE:
-            return snapshot
-        return snapshot.with_calibration(calibration)
+        return CalibrationJob(snapshot, self.kept_scans, self.config)
+
+    def calibrate(self, link: Link) -> Snapshot:
+        """Put a new link into a new version of the map, unless the present one is as good."""
+        if link.differs(self._snapshot.link, LINK_TOLERANCE):
+            later = self._snapshot.version + 1
+            self._snapshot = replace(self._snapshot.with_link(link), version=later)
+        return self._snapshot

@@ -58,6 +58,13 @@ class Sector:
     used: NDArray[np.int64]
     asked: NDArray[np.int64]
 
+    def experts_near(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Numbers, in the order of `members`, of those that reach the tiles of points in it."""
+        index = np.clip(((points - self.corner) / TILE_M).astype(np.int64), 0, SECTOR_TILES - 1)
+        tiles = np.unique(index[:, 0] * SECTOR_TILES + index[:, 1])
+        near = [self.entries[self.starts[t] : self.starts[t + 1], 0] for t in tiles.tolist()]
+        return np.unique(np.concatenate(near))
+
 
 def build_sector(
     members: Mapping[int, Member],

@@ -10,11 +10,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gpom_core.calibration import Calibration
 from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
 from gpom_core.extent import in_main_places
 from gpom_core.field import Field
+from gpom_core.link import Link
 from gpom_core.member import CUTOFF_SCALES, SECTOR_M, Bounds, Member, sector_key
 from gpom_core.reach import TILE_BITS, TILE_OFFSET
 from gpom_core.sector import Sector, build_sector, committee_sums, few_sums
@@ -117,7 +117,7 @@ class Snapshot:
     version: int = 0
     prior_variance: float = 1.0
     known_variance_ratio: float = 0.8
-    calibration: Calibration = field(default_factory=Calibration)
+    link: Link = field(default_factory=Link)
     members: Mapping[int, Member] = field(default_factory=dict)
     sectors: Mapping[int, Sector] = field(default_factory=dict)
     changed_bounds: Bounds | None = None
@@ -174,7 +174,7 @@ class Snapshot:
             self._fields[fusion] = Field(
                 self.sectors, self._covered, fusion,
                 negligible=NEGLIGIBLE, prior_variance=self.prior_variance,
-                slope=self.calibration.slope,
+                weights=self.link.weights,
             )  # fmt: skip
         return self._fields[fusion]
 
@@ -217,7 +217,7 @@ class Snapshot:
         )
         mean, variance = information / precision, 1.0 / precision
         return Prediction(
-            occupancy=self.calibration.probability(mean, variance),
+            occupancy=self.link.probability(mean, variance, self.prior_variance),
             mean=mean,
             variance=variance,
             known=variance < self.known_variance_ratio * self.prior_variance,
@@ -240,6 +240,16 @@ class Snapshot:
         points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         return self.query(points, fusion, method).reshape(rows, columns)
 
+    def near(self, points: NDArray[np.float64]) -> set[int]:
+        """Cluster numbers of the experts whose evidence may have a say at points (n, 2)."""
+        found: set[int] = set()
+        for key, which in _by_sector(points, self.reach).items():
+            sector = self.sectors.get(key)
+            if sector is not None:
+                numbers = np.array(list(sector.members))
+                found.update(numbers[sector.experts_near(points[which])].tolist())
+        return found
+
     def experts(self) -> list[ExpertSummary]:
         """All experts, by cluster number."""
         return [
@@ -255,9 +265,9 @@ class Snapshot:
             for _, m in sorted(self.members.items())
         ]
 
-    def with_calibration(self, calibration: Calibration) -> Snapshot:
+    def with_link(self, link: Link) -> Snapshot:
         """This map with other probabilities; its version stays, so swap it in at once."""
-        return replace(self, calibration=calibration, changed_bounds=self.reach)
+        return replace(self, link=link, changed_bounds=self.reach)
 
     def swapped(self, new: Iterable[Member], gone: Iterable[int] = ()) -> Snapshot:
         """The next version: `new` experts in place of their old selves, `gone` ones left out."""
@@ -290,7 +300,7 @@ class Snapshot:
             version=self.version + 1,
             prior_variance=self.prior_variance,
             known_variance_ratio=self.known_variance_ratio,
-            calibration=self.calibration,
+            link=self.link,
             members=members,
             sectors=sectors,
             changed_bounds=union(areas),

@@ -8,6 +8,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from functools import partial
 
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
 from gpom_core.snapshot import Snapshot
 from service.clock import Clock
@@ -106,6 +107,7 @@ class Training:
         self._turns: dict[int, int] = {}  # of what was trained
         self._failures: dict[int, int] = {}  # cluster -> attempts in a row
         self._quarantined: dict[int, Quarantine] = {}
+        self._calibration: Future[Link] | None = None
         self._last_swap_s = clock.monotonic_s()
         self._job_s = 0.01
         self._version = mapper.snapshot().version
@@ -134,9 +136,12 @@ class Training:
         self._collect()
         self._give_up_hanging()
         self._top_up()
+        if self._calibration is not None and self._calibration.done():
+            return self._calibrated(self._calibration)
         if self._in_pool and self.seconds_to_swap() != 0.0:
             return None
         swap = self._swap()
+        self._calibrate()
         self._top_up()  # experts that changed while they were trained can be taken only now
         return swap
 
@@ -162,6 +167,35 @@ class Training:
             return None
         self._version = snapshot.version
         return Swap(snapshot, turns)
+
+    def _calibrate(self) -> None:
+        """Let the pool fit the map's probabilities to its evidence again, if that is due."""
+        if self._calibration is not None:
+            return
+        job = self._mapper.take_calibration()
+        if job is not None:
+            try:
+                self._calibration = self._executor.submit(job.run)
+            except BrokenExecutor:
+                self._renew_executor()
+            else:
+                self._calibration.add_done_callback(lambda _: self._wake())
+
+    def _calibrated(self, calibration: "Future[Link]") -> Swap | None:
+        self._calibration = None
+        self._wake()  # this step did nothing else
+        if calibration.cancelled():
+            return None
+        error = calibration.exception()
+        if error is not None:  # probabilities stay as they were until it is due again
+            self._metrics.training_failures.inc()
+            logger.error("the map could not be calibrated", exc_info=error)
+            return None
+        snapshot = self._mapper.calibrate(calibration.result())
+        if snapshot.version == self._version:
+            return None
+        self._version = snapshot.version
+        return Swap(snapshot, {})
 
     def _top_up(self) -> None:
         room = self._capacity() - len(self._in_pool)

@@ -18,7 +18,6 @@ from gpom_core.mapper import Mapper
 from gpom_core.member import CUTOFF_SCALES, Member
 from gpom_core.metrics import negative_log_likelihood
 from gpom_core.observations import Observations
-from gpom_core.recalibration import recalibrated
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
 
@@ -62,7 +61,8 @@ def committee_and_exact(
         mapper.update(scan)
     margin = CUTOFF_SCALES * config.length_scale_m
     parts = []
-    for member in mapper.train().members.values():
+    whole = mapper.train()
+    for member in whole.members.values():
         o = member.expert.observations
         near = (o.geometry[:, 1] >= corner - margin).all(1)
         near &= (o.geometry[:, 0] <= corner + WINDOW_M + margin).all(1)
@@ -75,7 +75,7 @@ def committee_and_exact(
 
     def of(groups: list[Observations]) -> Snapshot:
         snapshot = Snapshot().swapped([member(i, group) for i, group in enumerate(groups)])
-        return snapshot.with_calibration(recalibrated(snapshot))
+        return snapshot.with_link(whole.link)
 
     return of(parts), of([together(parts)]), parts
 

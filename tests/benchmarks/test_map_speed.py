@@ -193,7 +193,7 @@ def test_exact_queries(mapper: Mapper) -> None:
 def test_the_field(mapper: Mapper, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gpom_core.field.FILL_AFTER", 1)
     filled = mapper.snapshot()
-    fresh = Snapshot(prior_variance=filled.prior_variance, calibration=filled.calibration)
+    fresh = Snapshot(prior_variance=filled.prior_variance, link=filled.link)
     snapshot = fresh.swapped(filled.members.values())
     figures: Figures = {}
     for name, points in (("uniform", uniform(snapshot)), ("visited", visited(snapshot))):

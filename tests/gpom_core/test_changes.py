@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from gpom_core import Mapper
-from gpom_core.calibration import Calibration
 from gpom_core.changes import SQUARE_M, changed_squares, squares
+from gpom_core.link import Link
 from gpom_core.snapshot import Snapshot
 from tests.service.rooms import scan_at
 
@@ -38,7 +38,7 @@ def test_the_first_version_changes_all_that_it_knows(versions) -> None:
 def test_squares_that_did_not_change_answer_the_same(versions) -> None:
     before, now = versions
     now = Snapshot(**{f: getattr(now, f) for f in now.__dataclass_fields__} | {
-        "calibration": before.calibration})  # fmt: skip
+        "link": before.link})  # fmt: skip
     changed = changed_squares(before, now)
     points = np.random.default_rng(0).uniform(-10.0, FAR_M + 10.0, (3000, 2))
     inside = [(int(x), int(y)) in changed for x, y in np.floor(points / SQUARE_M)]
@@ -51,6 +51,6 @@ def test_squares_that_did_not_change_answer_the_same(versions) -> None:
 
 
 def test_another_calibration_changes_all(versions) -> None:
-    recalibrated = versions[1].with_calibration(Calibration(3.0, 0.0))
+    recalibrated = versions[1].with_link(Link((3.0, 0.0, 0.0, 0.0, 0.0)))
 
     assert changed_squares(versions[1], recalibrated) == squares(versions[1])

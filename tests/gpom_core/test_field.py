@@ -107,9 +107,9 @@ def test_a_swap_forgets_what_its_experts_reach_and_nothing_else(
     assert 0 < len(carried) < len(kept)
     assert carried.keys() <= kept.keys()
     # What was carried is what a map without any history would compute.
-    fresh = Snapshot(
-        version=new.version, prior_variance=new.prior_variance, calibration=new.calibration
-    ).swapped(new.members.values())
+    fresh = Snapshot(version=new.version, prior_variance=new.prior_variance, link=new.link).swapped(
+        new.members.values()
+    )
     a, b = new.query(points, method="field"), fresh.query(points, method="field")
     assert np.array_equal(a.variance, b.variance)
     assert np.array_equal(a.mean, b.mean)
@@ -126,9 +126,9 @@ def test_memory_is_bounded(
     whole = snapshot.query(points, method="field")
     full_bytes = snapshot.field().size_bytes  # type: ignore[union-attr]
     monkeypatch.setattr(gpom_core.field, "BYTES_MAX", full_bytes // 3)
-    small = Snapshot(
-        prior_variance=snapshot.prior_variance, calibration=snapshot.calibration
-    ).swapped(snapshot.members.values())
+    small = Snapshot(prior_variance=snapshot.prior_variance, link=snapshot.link).swapped(
+        snapshot.members.values()
+    )
     for _ in range(2):
         answer = small.query(points, method="field")
         assert np.array_equal(answer.variance, whole.variance)
@@ -136,9 +136,9 @@ def test_memory_is_bounded(
 
 
 def test_many_threads_may_fill_it_at_once(snapshot: Snapshot, points: np.ndarray) -> None:
-    alone = Snapshot(
-        prior_variance=snapshot.prior_variance, calibration=snapshot.calibration
-    ).swapped(snapshot.members.values())
+    alone = Snapshot(prior_variance=snapshot.prior_variance, link=snapshot.link).swapped(
+        snapshot.members.values()
+    )
     expected = alone.query(points, method="field")
     with ThreadPoolExecutor(4) as pool:
         answers = list(pool.map(lambda _: snapshot.query(points, method="field"), range(8)))

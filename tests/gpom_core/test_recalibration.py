@@ -1,96 +1,101 @@
-"""Calibration leaves raw observations out: the closed form is what refitting gives."""
-
-from dataclasses import replace
+"""Calibration leaves scans out: what is asked is what a map without the scan would answer."""
 
 import numpy as np
 import pytest
 
-from gpom_core.calibration import Calibration
-from gpom_core.committee import fuse
-from gpom_core.expert import Hyperparameters, train
-from gpom_core.mapper import Mapper, TrainedExpert
-from gpom_core.observations import Observations
-from gpom_core.recalibration import leave_one_out, recalibrated
+from gpom_core.config import MapConfig
+from gpom_core.link import Link
+from gpom_core.mapper import Mapper
+from gpom_core.recalibration import _SEED, BEAMS, SCANS, CalibrationJob, _questions, leave_scans_out
+from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
-from tests.gpom_core.synthetic import points_observed, posterior, tour, without
+from tests.gpom_core.synthetic import look, scan_of, tour
 
-HYPERPARAMETERS = Hyperparameters(0.4, 1.0)
-RAW_NOISE = 0.3
-
-
-def some_places(seed: int, x: float) -> Observations:
-    """Places seen one to six times: a wall, and what is free before it."""
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform((x, -1.0), (x + 1.0, 0.0), (12, 2))
-    count = rng.integers(1, 7, 12).astype(float)
-    return points_observed(xy, np.where(xy[:, 1] > -0.4, 1.0, -1.0), RAW_NOISE / count, count)
+AREAS = MapConfig()
+SEGMENTS = MapConfig(free_evidence="segments")
 
 
-def committee(*experts: Observations) -> Snapshot:
-    line = np.zeros((2, 2))
-    members = [TrainedExpert(i, 1, train(o, HYPERPARAMETERS), line) for i, o in enumerate(experts)]
-    return Snapshot().swapped(members)
+def mapped(scans: list[Scan], config: MapConfig = AREAS) -> Snapshot:
+    mapper = Mapper(config)
+    for scan in scans:
+        mapper.update(scan)
+    return mapper.train()
 
 
-def seen_once_less(o: Observations, i: int) -> Observations:
-    """The observations without one of the raw ones behind number `i`."""
-    if o.count[i] == 1.0:
-        return without(o, i)
-    count = o.count.copy()
-    count[i] -= 1.0
-    return replace(o, count=count, noise_variance=RAW_NOISE / count)
+def questions(scan: Scan) -> tuple[np.ndarray, np.ndarray]:
+    return _questions(scan, AREAS, np.random.default_rng(_SEED))
 
 
-def test_leaving_out_a_raw_observation_is_refitting_without_it() -> None:
-    experts = [some_places(0, 0.0), some_places(1, 0.7)]
-    expected = {}
-    for e, observations in enumerate(experts):
-        for i in range(len(observations)):
-            fewer = [seen_once_less(o, i) if k == e else o for k, o in enumerate(experts)]
-            place = observations.geometry[i, :1]
-            opinions = [posterior(train(o, HYPERPARAMETERS), place) for o in fewer]
-            means, variances = (np.array(part) for part in zip(*opinions, strict=True))
-            mean, variance = fuse(means, variances, 1.0)
-            expected[e, i] = float(mean[0]), float(variance[0]), bool(observations.targets[i] > 0)
-
-    drawn = leave_one_out(committee(*experts), samples=600)
-    met = set()
-    for mean, variance, occupied in zip(*drawn, strict=True):
-        key = min(
-            expected, key=lambda k: abs(expected[k][0] - mean) + abs(expected[k][1] - variance)
-        )
-        assert mean == pytest.approx(expected[key][0], abs=2e-3)
-        assert variance == pytest.approx(expected[key][1], abs=2e-3)
-        assert occupied == expected[key][2]
-        met.add(key)
-    assert len(met) == len(expected)
+@pytest.mark.parametrize("config", [AREAS, SEGMENTS], ids=["areas", "segments"])
+def test_leaving_a_scan_out_is_a_map_without_it(config: MapConfig) -> None:
+    scan = look(0.3, 0.2)
+    without, whole = mapped([scan] * 3, config), mapped([scan] * 4, config)
+    mean, variance, occupied = leave_scans_out(whole, [scan], config)
+    points, truth = questions(scan)
+    expected, with_it = without.query(points), whole.query(points)
+    np.testing.assert_allclose(mean, expected.mean, atol=1e-9)
+    np.testing.assert_allclose(variance, expected.variance, atol=1e-9)
+    assert occupied.tolist() == truth.tolist()
+    assert np.abs(with_it.variance - variance).max() > 1e-3  # it was not nothing that was left out
 
 
-def test_hits_and_free_space_are_drawn_half_and_half() -> None:
-    wall = points_observed([[0.0, 0.0], [0.5, 0.0]], [1.0, 1.0], 0.1)
-    room = points_observed(
-        np.random.default_rng(0).uniform(-3.0, -1.0, (40, 2)), np.full(40, -1.0), 0.1, 7.0
-    )
-    *_, occupied = leave_one_out(committee(wall, room), samples=2000)
-    assert occupied.mean() == pytest.approx(0.5, abs=0.05)
+def test_the_only_scan_of_a_place_leaves_nothing_there() -> None:
+    near, far = look(0.0, 0.0), scan_of(np.full(90, 2.0), 50.0, 50.0)
+    mean, variance, _ = leave_scans_out(mapped([near, far]), [far], AREAS)
+    assert mean == pytest.approx(np.zeros(len(mean)), abs=1e-12)
+    assert variance == pytest.approx(np.ones(len(mean)), abs=1e-12)
 
 
-@pytest.mark.parametrize("target", [1.0, -1.0])
-def test_a_map_of_one_kind_of_evidence_can_be_calibrated(target: float) -> None:
-    snapshot = committee(points_observed([[0.0, 0.0], [0.1, 0.0]], [target] * 2))
-    found = recalibrated(snapshot)
-    assert found.offset == 0.0
-    assert 0.05 <= found.slope <= 50.0
+def test_the_questions_are_hits_and_free_places_of_some_beams() -> None:
+    scan = look(0.3, 0.2, beams=360)
+    points, occupied = questions(scan)
+    assert occupied.sum() == BEAMS
+    assert len(points) == 2 * BEAMS
+    distance = np.hypot(*(points - scan.pose[:2]).T)
+    assert np.isin(distance[occupied].astype(np.float32), scan.ranges_m).sum() > 0.9 * BEAMS
+    assert (distance[~occupied] < distance[occupied] - 0.2 + 1e-6).all()
+    assert len(np.unique(points, axis=0)) == 2 * BEAMS
 
 
-def test_an_empty_map_keeps_its_calibration() -> None:
-    assert recalibrated(Snapshot(calibration=Calibration(2.2))) == Calibration(2.2)
+def test_a_scan_that_saw_nothing_asks_nothing() -> None:
+    scan = look(0.3, 0.2)
+    empty = scan_of(np.full(90, np.inf), 0.3, 0.2)
+    whole = mapped([scan, empty])
+    assert [len(part) for part in leave_scans_out(whole, [empty], AREAS)] == [0, 0, 0]
+    assert CalibrationJob(whole, (), AREAS).run() == Link()
 
 
 def test_the_same_map_is_calibrated_the_same() -> None:
+    scans = list(tour(6))
+    whole = mapped(scans)
+    job = CalibrationJob(whole, tuple(scans), AREAS)
+    assert job.run() == job.run() == whole.link
+
+
+def test_a_mapper_keeps_a_fair_draw_of_the_scans_that_tell_something() -> None:
     mapper = Mapper()
-    for scan in tour(4):
-        mapper.update(scan)
-    snapshot = mapper.train()
-    assert recalibrated(snapshot) == recalibrated(snapshot)
-    assert recalibrated(snapshot).slope == pytest.approx(snapshot.calibration.slope, rel=0.03)
+    for i in range(2 * SCANS):
+        mapper.update(scan_of(np.full(8, 1.0), 20.0 * i))
+    kept = mapper.kept_scans
+    assert len(kept) == SCANS
+    assert 0.25 < np.mean([scan.pose.x_m >= 20.0 * SCANS for scan in kept]) < 0.75
+    for _ in range(50):  # a parked robot
+        mapper.update(kept[0])
+    assert mapper.kept_scans == kept
+
+
+def test_a_calibration_is_due_when_much_is_new() -> None:
+    mapper = Mapper()
+    assert mapper.take_calibration() is None
+    scans = list(tour(3))
+    mapper.update(scans[0])
+    mapper.swap([job.run() for job in mapper.take_jobs(1000)])
+    job = mapper.take_calibration()
+    assert job is not None
+    assert job.scans == (scans[0],)
+    assert mapper.take_calibration() is None  # taken
+    version = mapper.snapshot().version
+    assert mapper.calibrate(mapper.snapshot().link).version == version  # nothing new
+    later = mapper.calibrate(Link((9.0, 0.0, 0.0, 0.0, 0.0)))
+    assert later.version == version + 1
+    assert later.changed_bounds == later.reach

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gpom_core.calibration import Calibration
 from gpom_core.committee import Fusion, fuse
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidQueryError
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper
 from gpom_core.snapshot import Prediction, Snapshot
 from tests.gpom_core.synthetic import look, posterior, tour
@@ -47,7 +47,7 @@ def test_the_index_changes_no_probability_by_a_thousandth(
     snapshot: Snapshot, points: np.ndarray, fusion: Fusion
 ) -> None:
     mean, variance = by_brute_force(snapshot, points, fusion)
-    exact = snapshot.calibration.probability(mean, variance)
+    exact = snapshot.link.probability(mean, variance, snapshot.prior_variance)
     got = snapshot.query(points, fusion.name.lower())
     assert abs(got.occupancy - exact).max() < 5e-4
     assert abs(got.mean - mean).max() < 5e-3
@@ -68,7 +68,7 @@ def test_the_index_is_as_good_whatever_the_map_is_made_of(
 ) -> None:
     snapshot = mapped(5, **settings).snapshot()
     mean, variance = by_brute_force(snapshot, points, Fusion.BCM)
-    exact = snapshot.calibration.probability(mean, variance)
+    exact = snapshot.link.probability(mean, variance, snapshot.prior_variance)
     assert abs(snapshot.query(points).occupancy - exact).max() < 1e-3
 
 
@@ -299,7 +299,7 @@ def test_where_nothing_reaches_all_is_unknown(snapshot: Snapshot, points: np.nda
 def test_a_new_calibration_changes_probabilities_and_nothing_else(
     snapshot: Snapshot, points: np.ndarray
 ) -> None:
-    other = snapshot.with_calibration(Calibration(slope=1.0))
+    other = snapshot.with_link(Link((1.0, 0.0, 0.0, 0.0, 0.0)))
     a, b = snapshot.query(points), other.query(points)
     assert np.array_equal(a.mean, b.mean)
     assert np.array_equal(a.variance, b.variance)

@@ -153,7 +153,9 @@ def test_indexed_answers_are_those_of_the_whole_committee(mode: str, scans: list
         return
     opinions = [posterior(m.expert, points) for m in snapshot.members.values()]
     means, variances = (np.array(part) for part in zip(*opinions, strict=True))
-    exact = snapshot.calibration.probability(*fuse(means, variances, snapshot.prior_variance))
+    exact = snapshot.link.probability(
+        *fuse(means, variances, snapshot.prior_variance), snapshot.prior_variance
+    )
     assert abs(answer.occupancy - exact).max() < 2e-3
 
 
