@@ -14,6 +14,8 @@ from gpom_core.walk import WINDOW_TILES, Crossed, span, walk
 
 GRAZED = 0.5  # of a cell's edge; a cell that a scan went through by less is no news by itself
 
+CONTRADICTED = 8.0  # what fades is a few of an expert's places; alone it must make it dirty
+
 
 @compiled
 def absorb_free_areas(
@@ -107,8 +109,11 @@ def _merge(
             count[row] = before + added
             if before < cap:
                 hit = hits[tile, places[i]]
-                against = 0.0 if hit == NONE else hit_weight * min(count[hit], hit_cap)
-                gain[owner[row]] += shift(before, added, against)
+                if hit == NONE:
+                    gain[owner[row]] += shift(before, added, 0.0)
+                else:
+                    against = hit_weight * min(count[hit], hit_cap)
+                    gain[owner[row]] += CONTRADICTED * shift(before, added, against)
 
 
 @compiled

@@ -45,7 +45,9 @@ class MapConfig(BaseModel):
     )
 
     # Experts
-    length_scale_m: float = Field(0.2, gt=0.01)
+    length_scale_m: float = Field(
+        0.2, gt=0.01, description="where a cell was crossed five times; more often less, and v.v."
+    )
     signal_std: float = Field(1.0, gt=0.0)
     learn_hyperparameters: bool = Field(
         False, description="the length scale of each expert, by marginal likelihood"

@@ -42,7 +42,7 @@ Image = Mapping[str, NDArray[np.generic]]
 _ANY = -1
 _SHAPES: dict[str, tuple[str, tuple[int, ...]]] = {
     "version": ("int64", ()),
-    "counters": ("int64", (5,)),  # scans, those that told, calibrated, uncalibrated, map version
+    "counters": ("int64", (6,)),  # scans, those that told, now and then; the others of `dump`
     "link": ("float64", (5,)),
     "kept_frame": ("float64", (_ANY, 7)),  # pose, first angle, increment, range limits
     "kept_ranges": ("float32", (_ANY,)),
@@ -101,6 +101,7 @@ def dump(mapper: Mapper) -> dict[str, NDArray[np.generic]]:
             [
                 mapper.scan_count,
                 mapper._telling,
+                mapper._telling_then,
                 mapper._calibrated,
                 mapper._uncalibrated,
                 snapshot.version,
@@ -147,9 +148,10 @@ def load(image: Image, config: MapConfig, executor: Executor | None = None) -> M
     evidence.rows = _load_rows(arrays, config)
     evidence.tiles = _load_tiles(arrays)
     evidence.clusters = _load_clusters(arrays, evidence.rows)
-    mapper._scans, mapper._telling, mapper._calibrated, mapper._uncalibrated, version = (
-        int(value) for value in arrays["counters"]
-    )
+    (
+        mapper._scans, mapper._telling, mapper._telling_then, mapper._calibrated,
+        mapper._uncalibrated, version,
+    ) = (int(value) for value in arrays["counters"])  # fmt: skip
     mapper._kept = _load_scans(arrays)
     mapper._gone = set(arrays["gone"].tolist())
     empty = replace(mapper.snapshot(), link=_load_link(arrays))

@@ -18,6 +18,7 @@ from gpom_core.link import Link
 from gpom_core.member import Member
 from gpom_core.observations import Observations
 from gpom_core.recalibration import SCANS, CalibrationJob
+from gpom_core.rows import BOX
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
 
@@ -26,6 +27,9 @@ __all__ = ["CalibrationJob", "Mapper", "TrainedExpert", "TrainingJob", "UpdateRe
 TrainedExpert = Member
 
 CALIBRATE_AFTER = 4.0  # times the map was trained anew since the last calibration, which costs two
+USUAL_COUNT = 5.0  # traversals of a cell, at which an expert has the configured length scale
+LENGTH_SCALE_POWER = 0.2
+LENGTH_SCALE_RANGE = (0.85, 1.6)
 LINK_TOLERANCE = 0.003  # of a probability; a smaller change is not worth a new picture
 
 
@@ -67,6 +71,21 @@ def _run_or_error(job: TrainingJob) -> TrainedExpert | TrainingError:
         return error
 
 
+def length_scale_m(observations: Observations, config: MapConfig) -> float:
+    """Length scale of an expert: the longer, the less its free places were looked at.
+
+    Few beams have to speak for what lies between them; many show detail.
+    """
+    box = observations.kinds == BOX
+    low, high = observations.geometry[box, 0], observations.geometry[box, 1]
+    cells = float((high - low).prod(axis=1).sum()) / config.cell_m**2
+    if cells == 0.0:
+        return config.length_scale_m
+    crossed = max(float(observations.count[box].sum()) / cells, 1e-9)
+    factor = float((USUAL_COUNT / crossed) ** LENGTH_SCALE_POWER)
+    return config.length_scale_m * min(max(factor, LENGTH_SCALE_RANGE[0]), LENGTH_SCALE_RANGE[1])
+
+
 def learning_rule(config: MapConfig) -> LearningRule | None:
     """How experts learn online: the length scale alone.
 
@@ -96,6 +115,7 @@ class Mapper:
         self._scans = 0
         self._kept: list[Scan] = []  # a fair draw of the scans that brought something new
         self._telling = 0  # how many did
+        self._telling_then = 0  # at the last calibration
         self._calibrated = 0  # observations in the map when it was calibrated
         self._uncalibrated = 0  # observations trained since
         self._snapshot = Snapshot(
@@ -188,7 +208,7 @@ class Mapper:
                     revision=revision,
                     observations=observations,
                     hyperparameters=Hyperparameters(
-                        self.config.length_scale_m, self.config.signal_std
+                        length_scale_m(observations, self.config), self.config.signal_std
                     ),
                     line=self._evidence.line(cluster),
                     learning=self._learning,
@@ -264,17 +284,18 @@ class Mapper:
         return snapshot
 
     def take_calibration(self) -> CalibrationJob | None:
-        """The calibration to make, if much of the map is new since the last; else None.
+        """The calibration to make, if much is new since the last; else None.
 
         Give its result to `calibrate`.
         """
-        due = self._uncalibrated > CALIBRATE_AFTER * self._calibrated
-        return self._calibration_of(self._snapshot) if due else None
+        trained = self._uncalibrated > CALIBRATE_AFTER * self._calibrated
+        seen = self._telling >= 2 * self._telling_then and self._uncalibrated > 0
+        return self._calibration_of(self._snapshot) if trained or seen else None
 
     def _calibration_of(self, snapshot: Snapshot) -> CalibrationJob:
         members = snapshot.members.values()
         self._calibrated = sum(len(member.expert.observations) for member in members)
-        self._uncalibrated = 0
+        self._uncalibrated, self._telling_then = 0, self._telling
         return CalibrationJob(snapshot, self.kept_scans, self.config)
 
     def calibrate(self, link: Link) -> Snapshot:

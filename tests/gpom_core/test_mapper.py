@@ -319,6 +319,9 @@ def test_what_is_gone_fades_though_every_place_was_known_before() -> None:
     for i in range(400):
         mapper.update(look(0.0, 0.0, walls=walls, beams=360, noise=0.01, seed=i))
         mapper.swap([job.run() for job in mapper.take_jobs(ALL)])
+        calibration = mapper.take_calibration()
+        if calibration is not None:
+            mapper.calibrate(calibration.run())
     assert mapper.snapshot().query(at).occupancy[0] < 0.1
 
 
@@ -365,3 +368,16 @@ def test_learned_experts_differ_and_answer_well() -> None:
     assert len(scales) > 3
     assert snapshot.query([(0.0, 0.0)]).occupancy[0] < 0.15
     assert snapshot.query([(-3.03, 0.5)]).occupancy[0] > 0.8
+
+
+def test_length_scales_are_longer_where_few_beams_went() -> None:
+    def scales(scans: int) -> np.ndarray:
+        mapper = mapper_of(*([look(0.3, 0.2, beams=180)] * scans))
+        return np.array([e.length_scale_m for e in mapper.train().experts()])
+
+    few, many = scales(1), scales(300)
+    assert few.max() <= 1.6 * 0.2 + 1e-12
+    assert many.min() >= 0.85 * 0.2 - 1e-12
+    assert np.median(few) > 0.2 > np.median(many)
+    plain = mapper_of(look(0.3, 0.2), free_evidence="segments").train().experts()
+    assert {e.length_scale_m for e in plain} == {0.2}

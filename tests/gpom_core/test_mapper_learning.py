@@ -3,6 +3,7 @@
 import numpy as np
 
 from gpom_core.config import MapConfig
+from gpom_core.expert import Hyperparameters
 from gpom_core.mapper import Mapper, TrainingJob
 from tests.gpom_core.synthetic import tour
 
@@ -18,8 +19,11 @@ def trained(config: MapConfig) -> Mapper:
 
 
 def test_experts_keep_the_settings_unless_told_to_learn():
-    for expert in trained(MapConfig()).snapshot().experts():
-        assert expert.length_scale_m == MapConfig().length_scale_m
+    config = MapConfig()
+    for member in trained(config).snapshot().members.values():
+        expert = member.expert
+        given = length_scale_m(expert.observations, config)
+        assert expert.hyperparameters == Hyperparameters(given, config.signal_std)
 
 
 def test_experts_learn_their_own_length_scale_and_share_the_prior():

@@ -9,7 +9,7 @@ from gpom_core.committee import Fusion, fuse
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidQueryError
 from gpom_core.link import Link
-from gpom_core.mapper import Mapper
+from gpom_core.mapper import LENGTH_SCALE_RANGE, Mapper
 from gpom_core.snapshot import Prediction, Snapshot
 from tests.gpom_core.synthetic import look, posterior, tour
 
@@ -218,7 +218,8 @@ def test_experts_are_listed_with_their_evidence(snapshot: Snapshot) -> None:
     assert [e.cluster_id for e in experts] == sorted(snapshot.members)
     for e in experts:
         assert e.observations >= e.hits >= 0
-        assert e.length_scale_m == MapConfig().length_scale_m
+        low, high = (factor * MapConfig().length_scale_m for factor in LENGTH_SCALE_RANGE)
+        assert low <= e.length_scale_m <= high
         assert np.isfinite(e.line).all()
     assert sum(e.hits for e in experts) > 100
 
