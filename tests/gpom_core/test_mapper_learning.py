@@ -4,7 +4,7 @@ import numpy as np
 
 from gpom_core.config import MapConfig
 from gpom_core.expert import Hyperparameters
-from gpom_core.mapper import Mapper, length_scale_m
+from gpom_core.mapper import Mapper, TrainingJob, length_scale_m
 from tests.gpom_core.synthetic import tour
 
 LEARNING = MapConfig(learn_hyperparameters=True, learning_budget_s=60.0)
