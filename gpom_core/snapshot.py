@@ -336,9 +336,10 @@ def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:
         )
     if not (np.isfinite(resolution_m) and resolution_m > 0.0):
         raise InvalidQueryError(f"resolution {resolution_m} must be a positive number of metres")
-    # A hair less than a cell is rounding, not another cell.
-    columns = np.ceil((bbox[2] - bbox[0]) / resolution_m - 1e-9)
-    rows = np.ceil((bbox[3] - bbox[1]) / resolution_m - 1e-9)
+    # A hair less than a cell is rounding, not another cell; far from the origin hairs are thicker.
+    hair = min(1e-9 + 4.0 * float(np.spacing(np.abs(bbox).max())) / resolution_m, 0.1)
+    columns = np.ceil((bbox[2] - bbox[0]) / resolution_m - hair)
+    rows = np.ceil((bbox[3] - bbox[1]) / resolution_m - hair)
     if rows * columns > MAX_GRID_CELLS:
         raise InvalidQueryError(
             f"{rows * columns:.0f} cells are more than {MAX_GRID_CELLS}; ask for a smaller box or "

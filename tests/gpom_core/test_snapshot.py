@@ -10,7 +10,7 @@ from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidQueryError
 from gpom_core.link import Link
 from gpom_core.mapper import LENGTH_SCALE_RANGE, Mapper
-from gpom_core.snapshot import Prediction, Snapshot
+from gpom_core.snapshot import Prediction, Snapshot, grid_shape
 from tests.gpom_core.synthetic import look, posterior, tour
 
 
@@ -306,6 +306,17 @@ def test_a_new_calibration_changes_probabilities_and_nothing_else(
     assert np.array_equal(a.variance, b.variance)
     assert not np.array_equal(a.occupancy, b.occupancy)
     assert other.changed_bounds == snapshot.reach
+
+
+@pytest.mark.parametrize("x", [0.0, 1e6, -9e6, 1e7])
+@pytest.mark.parametrize("resolution_m", [0.05, 0.1, 0.3])
+def test_a_raster_has_the_cells_it_was_made_of_wherever_it_is(
+    x: float, resolution_m: float
+) -> None:
+    for cells in range(1, 200):
+        first = np.floor(x / resolution_m)
+        edges = (first * resolution_m, (first + cells) * resolution_m)
+        assert grid_shape((edges[0], 0.0, edges[1], 1.0), resolution_m)[1] == cells
 
 
 def same(a: Prediction, b: Prediction) -> bool:
