@@ -133,6 +133,12 @@ class Evidence:
         changed = np.flatnonzero(moved | untrained)
         return changed[np.argsort(-(fresh + gain)[changed], kind="stable")]
 
+    def refresh(self) -> None:
+        """Make every cluster dirty whose evidence changed since it was taken, however little."""
+        n = int(self.clusters.size[0])
+        changed = (self.clusters.gain[:n] > 0.0) & (self.clusters.rows[:n] > 0)
+        self.clusters.fresh[:n] += changed
+
     def take(self, cluster: int) -> tuple[int, Observations]:
         """The evidence of a cluster to train on, and its revision; it is clean from here on."""
         self.clusters.fresh[cluster] = 0

@@ -181,6 +181,10 @@ class Mapper:
         if place < SCANS:
             self._kept[place] = scan
 
+    def refresh(self) -> None:
+        """Make all experts dirty that were not trained on the very last of their evidence."""
+        self._evidence.refresh()
+
     def take_jobs(self, limit: int) -> list[TrainingJob]:
         """At most `limit` dirty experts to train, most changed first.
 

@@ -365,11 +365,18 @@ class MapKeeper:
         splits = self._mapper.take_splits()
         with self._changed:
             flushes, self._flushes = self._flushes, []
+        dirty = self.state.dirty
+        if any(f.missing is None and f.ticket <= self._settled_ticket for f in flushes):
+            # Who asks for all evidence gets all, also what alone would not be worth a training.
+            self._mapper.refresh()
+            dirty = self._mapper.dirty_ids()
+            self._poke()
         waiting = []
         for flush in flushes:
             flush.follow(splits)
             flush.note(turns)
-            if flush.advance(self._settled_ticket, self.state.dirty, self._training.turn):
+            trained = flush.advance(self._settled_ticket, dirty, self._training.turn)
+            if trained and not self._training.calibrating:
                 if flush.done.set_running_or_notify_cancel():
                     flush.done.set_result(None)
             elif not flush.done.cancelled():

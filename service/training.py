@@ -120,7 +120,12 @@ class Training:
     @property
     def idle(self) -> bool:
         """Whether nothing is being trained or waits to be swapped in."""
-        return not (self._in_pool or self._trained)
+        return not (self._in_pool or self._trained or self.calibrating)
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether all probabilities will change a little, soon."""
+        return self._calibration is not None
 
     def quarantined(self) -> tuple[Quarantine, ...]:
         """The experts that are set aside."""

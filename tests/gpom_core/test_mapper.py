@@ -381,3 +381,19 @@ def test_length_scales_are_longer_where_few_beams_went() -> None:
     assert np.median(few) > 0.2 > np.median(many)
     plain = mapper_of(look(0.3, 0.2), free_evidence="segments").train().experts()
     assert {e.length_scale_m for e in plain} == {0.2}
+
+
+def test_a_refresh_trains_also_what_is_hardly_news() -> None:
+    mapper = Mapper()
+    for i in range(60):
+        mapper.update(look(0.3, 0.2, beams=180, noise=0.01, seed=i))
+        mapper.swap([job.run() for job in mapper.take_jobs(ALL)])
+    lazy = mapper.snapshot().query(POINTS).variance
+    mapper.refresh()
+    assert mapper.dirty_count > 0
+    mapper.swap([job.run() for job in mapper.take_jobs(ALL)])
+    fresh = mapper.snapshot().query(POINTS).variance
+    assert (fresh <= lazy + 1e-6).mean() > 0.9  # more was seen, so more is known
+    assert fresh.sum() < lazy.sum()
+    mapper.refresh()
+    assert mapper.dirty_count == 0
