@@ -277,7 +277,9 @@ class Mapper:
             raise
         snapshot = self._swapped([outcome for outcome in outcomes if isinstance(outcome, Member)])
         if self._uncalibrated > 0:
-            snapshot = snapshot.with_link(self._calibration_of(snapshot).run())
+            calibration = self._calibration_of(snapshot)
+            snapshot = snapshot.with_link(calibration.run())
+            self._settle(calibration)
         self._snapshot = snapshot
         errors = [outcome for outcome in outcomes if isinstance(outcome, TrainingError)]
         for job, outcome in zip(jobs, outcomes, strict=True):
@@ -287,24 +289,38 @@ class Mapper:
             raise errors[0]
         return snapshot
 
-    def take_calibration(self) -> CalibrationJob | None:
+    def take_calibration(self, *, even_if_little_is_new: bool = False) -> CalibrationJob | None:
         """The calibration to make, if much is new since the last; else None.
 
-        Give its result to `calibrate`.
+        Give its result to `calibrate`, or the job to `fail_calibration`.
         """
+        if self._uncalibrated == 0:
+            return None
         trained = self._uncalibrated > CALIBRATE_AFTER * self._calibrated
-        seen = self._telling >= 2 * self._telling_then and self._uncalibrated > 0
-        return self._calibration_of(self._snapshot) if trained or seen else None
+        seen = self._telling >= 2 * self._telling_then
+        due = trained or seen or even_if_little_is_new
+        return self._calibration_of(self._snapshot) if due else None
 
     def _calibration_of(self, snapshot: Snapshot) -> CalibrationJob:
-        members = snapshot.members.values()
-        self._calibrated = sum(len(member.expert.observations) for member in members)
-        self._uncalibrated, self._telling_then = 0, self._telling
-        return CalibrationJob(snapshot, self.kept_scans, self.config)
+        return CalibrationJob(
+            snapshot, self.kept_scans, self.config, self._uncalibrated, self._telling
+        )
 
-    def calibrate(self, link: Link) -> Snapshot:
+    def calibrate(self, job: CalibrationJob, link: Link) -> Snapshot:
         """Put a new link into a new version of the map, unless the present one is as good."""
+        self._settle(job)
         if link.differs(self._snapshot.link, LINK_TOLERANCE):
             later = self._snapshot.version + 1
             self._snapshot = replace(self._snapshot.with_link(link), version=later)
         return self._snapshot
+
+    def fail_calibration(self, job: CalibrationJob) -> None:
+        """It did not end well: probabilities stay as they are until the next is due."""
+        self._settle(job)
+
+    def _settle(self, job: CalibrationJob) -> None:
+        # Not when it is taken: after a crash in between it is due again.
+        members = job.snapshot.members.values()
+        self._calibrated = sum(len(member.expert.observations) for member in members)
+        self._uncalibrated -= job.trained
+        self._telling_then = job.telling

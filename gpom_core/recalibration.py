@@ -9,7 +9,7 @@ few scans were there (measured in docs/accuracy.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -36,7 +36,7 @@ _NEGLIGIBLE = 0.05  # share of an observation: an expert that loses less than th
 _SEED = 20220918
 
 _Floats = NDArray[np.float64]
-_Integers = NDArray[np.int64]
+LeftOut = tuple[_Floats, _Floats, NDArray[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +46,8 @@ class CalibrationJob:
     snapshot: Snapshot
     scans: tuple[Scan, ...]
     config: MapConfig
+    trained: int = 0  # observations, since the calibration before
+    telling: int = 0  # scans that brought something new, ever
 
     def run(self) -> Link:
         """The link of highest likelihood on what left-out scans saw.
@@ -53,15 +55,23 @@ class CalibrationJob:
         Raises:
             TrainingError: an expert cannot be trained without a scan.
         """
+        return next(link for link in self.steps() if link is not None)
+
+    def steps(self) -> Iterator[Link | None]:
+        """The same in short steps: None after each scan, the link at last."""
         prior = self.snapshot.prior_variance
-        mean, variance, occupied = leave_scans_out(self.snapshot, self.scans, self.config)
-        return fit(mean, variance / prior, occupied)
+        seen: list[LeftOut] = [(np.empty(0), np.empty(0), np.empty(0, np.bool_))]
+        for part in leave_scans_out(self.snapshot, self.scans, self.config):
+            seen.append(part)
+            yield None
+        mean, variance, occupied = (np.concatenate(column) for column in zip(*seen, strict=True))
+        yield fit(mean, variance / prior, occupied)
 
 
 def leave_scans_out(
     snapshot: Snapshot, scans: Sequence[Scan], config: MapConfig
-) -> tuple[_Floats, _Floats, NDArray[np.bool_]]:
-    """Latent mean, variance and truth (n,) at hits and free places of scans that are left out.
+) -> Iterator[LeftOut]:
+    """Latent mean, variance and truth (n,) at hits and free places of each scan, left out.
 
     Free places lie at a uniform share of each beam, up to 0.2 m before its hit. The draw is
     seeded: the same map gives the same calibration.
@@ -71,16 +81,12 @@ def leave_scans_out(
     """
     rng = np.random.default_rng(_SEED)
     index = _Index(snapshot, config)
-    means, variances, truth = [np.empty(0)], [np.empty(0)], [np.empty(0, np.bool_)]
     for scan in scans:
         points, occupied = _questions(scan, config, rng)
         if len(points) == 0:
             continue
         precision, information = index.without(scan, points).sums(points)
-        means.append(information / precision)
-        variances.append(1.0 / precision)
-        truth.append(occupied)
-    return np.concatenate(means), np.concatenate(variances), np.concatenate(truth)
+        yield information / precision, 1.0 / precision, occupied
 
 
 def _questions(

@@ -184,7 +184,8 @@ def _array(content: bytes, name: str, path: Path) -> NDArray[np.generic]:
     # Not numpy's own reader: it takes memory for what the header says before it reads.
     if dtype.hasobject or fortran or prod(shape) * dtype.itemsize != len(content) - start:
         raise MapFileError(f"{path}: {name} is {dtype} {shape}, which does not fit its size")
-    return np.frombuffer(content, dtype, offset=start).reshape(shape)
+    # A copy, for compiled code is compiled once more for arrays that are read only.
+    return np.frombuffer(content, dtype, offset=start).reshape(shape).copy()
 
 
 def _sync_directory(path: Path) -> None:

@@ -6,7 +6,6 @@ collects them between two slices of integration.
 
 import logging
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
@@ -66,13 +65,15 @@ class _Flush:
 
     Once they are integrated, `missing` are the experts that were dirty at that moment, in `turn`
     of training. Each is done when a job taken later is swapped in, or when it is clean: so a flush
-    ends even while new scans make experts dirty again all the time.
+    ends even while new scans make experts dirty again all the time. Then the map is calibrated, by
+    the `calibration` of that number: what a flush shows depends on the scans alone.
     """
 
     ticket: int
     done: "Future[None]" = field(default_factory=Future)
     missing: set[int] | None = None
     turn: int = 0
+    calibration: int | None = None
 
     def advance(self, settled_ticket: int, dirty: frozenset[int], turn: int) -> bool:
         """Look at what a step of training did not do; tell whether the wait is over."""
@@ -133,6 +134,7 @@ class MapKeeper:
         self._settled_ticket = 0
         self._position = 0  # in the journal, of the last scan that was handed over
         self._tail: Tail | None = None
+        self._restored: Future[None] | None = None
         self._saver: Saver | None = None
         self._new_training = partial(
             Training,
@@ -299,13 +301,22 @@ class MapKeeper:
         self._position = tail.position
         if self._current:
             self._backlog += len(self._current)
-        elif tail.trouble is None and self._training.idle:
+        elif tail.trouble is None and self._caught_up(tail):
             logger.info("the map is restored: scans=%d", self._integrated)
             self._tail = None
             if self._saver is not None and tail.held_any:
                 self._saver.hurry()
         else:
-            time.sleep(_SLICE_S)
+            with self._changed:
+                self._changed.wait_for(lambda: self._poked or self._stopping, timeout=_SLICE_S)
+
+    def _caught_up(self, tail: Tail) -> bool:
+        """Whether the map is trained on all that was read; without any it is what was saved."""
+        if not tail.held_any:
+            return self._training.idle
+        if self._restored is None:
+            self._restored = self.flush(self._settled_ticket)
+        return self._restored.done()
 
     def _poke(self) -> None:
         with self._changed:
@@ -376,7 +387,9 @@ class MapKeeper:
             flush.follow(splits)
             flush.note(turns)
             trained = flush.advance(self._settled_ticket, dirty, self._training.turn)
-            if trained and not self._training.calibrating:
+            if trained and flush.calibration is None:
+                flush.calibration = self._training.calibrate()
+            if flush.calibration is not None and self._training.calibrated(flush.calibration):
                 if flush.done.set_running_or_notify_cancel():
                     flush.done.set_result(None)
             elif not flush.done.cancelled():

@@ -8,9 +8,9 @@ from concurrent.futures import BrokenExecutor, Executor, Future
 from dataclasses import dataclass
 from functools import partial
 
-from gpom_core.link import Link
 from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
 from gpom_core.snapshot import Snapshot
+from service.calibrating import Calibrating, CalibrationError
 from service.clock import Clock
 from service.metrics import Metrics
 
@@ -107,7 +107,7 @@ class Training:
         self._turns: dict[int, int] = {}  # of what was trained
         self._failures: dict[int, int] = {}  # cluster -> attempts in a row
         self._quarantined: dict[int, Quarantine] = {}
-        self._calibration: Future[Link] | None = None
+        self._calibrating = Calibrating(mapper, timeout_s=job_timeout_s, wake=wake)
         self._last_swap_s = clock.monotonic_s()
         self._job_s = 0.01
         self._version = mapper.snapshot().version
@@ -120,12 +120,16 @@ class Training:
     @property
     def idle(self) -> bool:
         """Whether nothing is being trained or waits to be swapped in."""
-        return not (self._in_pool or self._trained or self.calibrating)
+        return not (self._in_pool or self._trained or self._calibrating.active)
 
-    @property
-    def calibrating(self) -> bool:
-        """Whether all probabilities will change a little, soon."""
-        return self._calibration is not None
+    def calibrate(self) -> int:
+        """Calibrate next, even if little is new; give a number to ask `calibrated` about."""
+        self._wake()
+        return self._calibrating.want()
+
+    def calibrated(self, number: int) -> bool:
+        """Whether a calibration begun since `calibrate` gave this number is over."""
+        return self._calibrating.ended(number)
 
     def quarantined(self) -> tuple[Quarantine, ...]:
         """The experts that are set aside."""
@@ -141,12 +145,13 @@ class Training:
         self._collect()
         self._give_up_hanging()
         self._top_up()
-        if self._calibration is not None and self._calibration.done():
-            return self._calibrated(self._calibration)
+        if self._calibrate():
+            self._wake()  # each version tells what changed since the one before: no swap as well
+            return self._news({})
         if self._in_pool and self.seconds_to_swap() != 0.0:
             return None
         swap = self._swap()
-        self._calibrate()
+        self._begin_calibration()
         self._top_up()  # experts that changed while they were trained can be taken only now
         return swap
 
@@ -157,50 +162,46 @@ class Training:
         return max(0.0, self._last_swap_s + self._swap_interval_s - self._clock.monotonic_s())
 
     def seconds_to_look(self) -> float | None:
-        """When `step` should look for hanging jobs again; None while nothing is trained."""
-        return min(1.0, self._job_timeout_s) if self._chunks else None
+        """When `step` should look for hanging jobs again; None while there are none."""
+        busy = self._chunks or self._calibrating.active
+        return min(1.0, self._job_timeout_s) if busy else None
 
     def _swap(self) -> Swap | None:
         trained, self._trained = self._trained, []
         turns, self._turns = self._turns, {}
         with self._metrics.swap_seconds.time():
             # Without results too: experts that lost all their evidence leave the map here.
-            snapshot = self._mapper.swap(trained)
+            self._mapper.swap(trained)
         if trained:
             self._last_swap_s = self._clock.monotonic_s()
+        return self._news(turns)
+
+    def _news(self, turns: Mapping[int, int]) -> Swap | None:
+        snapshot = self._mapper.snapshot()
         if snapshot.version == self._version and not turns:
             return None
         self._version = snapshot.version
         return Swap(snapshot, turns)
 
-    def _calibrate(self) -> None:
-        """Let the pool fit the map's probabilities to its evidence again, if that is due."""
-        if self._calibration is not None:
-            return
-        job = self._mapper.take_calibration()
-        if job is not None:
-            try:
-                self._calibration = self._executor.submit(job.run)
-            except BrokenExecutor:
-                self._renew_executor()
-            else:
-                self._calibration.add_done_callback(lambda _: self._wake())
+    def _begin_calibration(self) -> None:
+        try:
+            self._calibrating.begin(self._executor)
+        except CalibrationError as error:
+            self._uncalibrated(error)
 
-    def _calibrated(self, calibration: "Future[Link]") -> Swap | None:
-        self._calibration = None
-        self._wake()  # this step did nothing else
-        if calibration.cancelled():
-            return None
-        error = calibration.exception()
-        if error is not None:  # probabilities stay as they were until it is due again
-            self._metrics.training_failures.inc()
-            logger.error("the map could not be calibrated", exc_info=error)
-            return None
-        snapshot = self._mapper.calibrate(calibration.result())
-        if snapshot.version == self._version:
-            return None
-        self._version = snapshot.version
-        return Swap(snapshot, {})
+    def _calibrate(self) -> bool:
+        """Go on with the calibration under way; tell whether the map has a new one."""
+        try:
+            return self._calibrating.advance(self._executor)
+        except CalibrationError as error:
+            self._uncalibrated(error)
+            return False
+
+    def _uncalibrated(self, error: CalibrationError) -> None:
+        self._metrics.training_failures.inc()
+        logger.error("probabilities are those of an older calibration", exc_info=error)
+        if error.pool_is_lost:
+            self._renew_executor()
 
     def _top_up(self) -> None:
         room = self._capacity() - len(self._in_pool)

@@ -113,7 +113,7 @@ def test_hovering_reads_what_the_api_says(page: Chromium, site: Site) -> None:
 def test_only_what_changed_is_drawn_again(
     page: Chromium, site: Site, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gpom_core.mapper.CALIBRATE_AFTER", 1e9)  # a new one changes every tile
+    monkeypatch.setattr("gpom_core.mapper.LINK_TOLERANCE", 1.0)  # a calibration changes every tile
     for step in range(3):
         site.scan(40.0 + 0.2 * step, 0.0, step + 1, robot="berta", room=(40.0, 0.0))
     site.flush()

@@ -65,12 +65,12 @@ def test_regions_follow_what_a_perfect_sensor_sees():
 
 @pytest.fixture(scope="module")
 def maps():
-    scans = make_experiment(0).scans[::2]
+    scans = make_experiment(0).scans[::4]
     return [method.fit(scans) for method in (GridMethod(), *paper_methods(0))]
 
 
 def test_every_method_answers_the_same_questions(maps):
-    beams = beams_of(make_experiment(0).scans[::2])
+    beams = beams_of(make_experiment(0).scans[::4])
     hits, passed = beams.end[beams.returned], 0.5 * (beams.origin + beams.end)
     for found in maps:
         assert found.variance(hits).shape == (len(hits),)

@@ -29,6 +29,11 @@ def stamps(fake):
     return [scan.stamp_ns for scan in fake.scans()]
 
 
+@pytest.fixture
+def leaves_soon(monkeypatch):
+    monkeypatch.setattr("clients.publisher.CLOSE_TIMEOUT_S", 0.1)
+
+
 def test_scans_published_before_the_map_is_there_arrive(silent_map):
     with publisher(silent_map) as robot:
         for i in range(20):
@@ -78,6 +83,7 @@ def test_best_effort_cannot_tell(fake_map):
         robot.durable(1)
 
 
+@pytest.mark.usefixtures("leaves_soon")
 def test_a_full_outbox_blocks_or_says_so(silent_map):
     settings = OutboxSettings(scans_max=3, window=3, block_timeout_s=0.1)
     with publisher(silent_map, outbox=settings) as robot:
@@ -106,6 +112,7 @@ def test_the_oldest_unsent_scans_make_room_and_are_counted(silent_map):
     assert futures[9].result(0.0) == 10
 
 
+@pytest.mark.usefixtures("leaves_soon")
 def test_scans_are_bounded_in_bytes_too(silent_map):
     settings = OutboxSettings(bytes_max=4000, policy="drop_oldest")
     with publisher(silent_map, outbox=settings) as robot:

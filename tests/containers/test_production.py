@@ -81,6 +81,7 @@ def test_a_robot_with_a_certificate_is_heard(
 def test_a_robot_speaks_under_its_own_name_only(
     site: MapService, tls: Path, router: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("clients.publisher.CLOSE_TIMEOUT_S", 0.1)
     be("robot-1", tls, monkeypatch)
     with ScanPublisher("robot-2", endpoints=[router]) as liar:
         liar.publish(scan_at(0.5, 0.5))

@@ -321,7 +321,7 @@ def test_what_is_gone_fades_though_every_place_was_known_before() -> None:
         mapper.swap([job.run() for job in mapper.take_jobs(ALL)])
         calibration = mapper.take_calibration()
         if calibration is not None:
-            mapper.calibrate(calibration.run())
+            mapper.calibrate(calibration, calibration.run())
     assert mapper.snapshot().query(at).occupancy[0] < 0.1
 
 

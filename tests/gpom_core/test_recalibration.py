@@ -34,7 +34,7 @@ def test_leaving_a_scan_out_is_a_map_without_it(
     monkeypatch.setattr("gpom_core.mapper.length_scale_m", lambda *_: 0.2)
     scan = look(0.3, 0.2)
     without, whole = mapped([scan] * 3, config), mapped([scan] * 4, config)
-    mean, variance, occupied = leave_scans_out(whole, [scan], config)
+    ((mean, variance, occupied),) = leave_scans_out(whole, [scan], config)
     points, truth = questions(scan)
     expected, with_it = without.query(points), whole.query(points)
     np.testing.assert_allclose(mean, expected.mean, atol=1e-9)
@@ -45,7 +45,7 @@ def test_leaving_a_scan_out_is_a_map_without_it(
 
 def test_the_only_scan_of_a_place_leaves_nothing_there() -> None:
     near, far = look(0.0, 0.0), scan_of(np.full(90, 2.0), 50.0, 50.0)
-    mean, variance, _ = leave_scans_out(mapped([near, far]), [far], AREAS)
+    ((mean, variance, _),) = leave_scans_out(mapped([near, far]), [far], AREAS)
     assert mean == pytest.approx(np.zeros(len(mean)), abs=1e-12)
     assert variance == pytest.approx(np.ones(len(mean)), abs=1e-12)
 
@@ -65,7 +65,7 @@ def test_a_scan_that_saw_nothing_asks_nothing() -> None:
     scan = look(0.3, 0.2)
     empty = scan_of(np.full(90, np.inf), 0.3, 0.2)
     whole = mapped([scan, empty])
-    assert [len(part) for part in leave_scans_out(whole, [empty], AREAS)] == [0, 0, 0]
+    assert list(leave_scans_out(whole, [empty], AREAS)) == []
     assert CalibrationJob(whole, (), AREAS).run() == Link()
 
 
@@ -97,9 +97,47 @@ def test_a_calibration_is_due_when_much_is_new() -> None:
     job = mapper.take_calibration()
     assert job is not None
     assert job.scans == (scans[0],)
-    assert mapper.take_calibration() is None  # taken
     version = mapper.snapshot().version
-    assert mapper.calibrate(mapper.snapshot().link).version == version  # nothing new
-    later = mapper.calibrate(Link((9.0, 0.0, 0.0, 0.0, 0.0)))
+    assert mapper.calibrate(job, mapper.snapshot().link).version == version  # as good
+    assert mapper.take_calibration() is None
+    later = mapper.calibrate(job, Link((9.0, 0.0, 0.0, 0.0, 0.0)))
     assert later.version == version + 1
     assert later.changed_bounds == later.reach
+
+
+def test_a_calibration_is_due_until_it_ends() -> None:
+    mapper = Mapper()
+    scans = list(tour(3))
+    mapper.update(scans[0])
+    mapper.swap([job.run() for job in mapper.take_jobs(1000)])
+    lost, job = mapper.take_calibration(), mapper.take_calibration()
+    assert lost is not None
+    assert job is not None
+    assert job.trained == lost.trained > 0
+    mapper.fail_calibration(job)
+    assert mapper.take_calibration() is None
+    assert mapper.take_calibration(even_if_little_is_new=True) is None, "nothing is"
+
+
+def test_what_is_trained_during_a_calibration_counts_for_the_next() -> None:
+    mapper = Mapper()
+    first, second, _ = tour(3)
+    mapper.update(first)
+    mapper.swap([job.run() for job in mapper.take_jobs(1000)])
+    calibration = mapper.take_calibration()
+    assert calibration is not None
+    mapper.update(second)
+    trained = mapper.take_jobs(1000)
+    mapper.swap([job.run() for job in trained])
+    mapper.calibrate(calibration, calibration.run())
+    later = mapper.take_calibration(even_if_little_is_new=True)
+    assert later is not None
+    assert later.trained == sum(len(job.observations) for job in trained)
+
+
+def test_steps_are_the_whole_in_parts() -> None:
+    scans = list(tour(6))
+    job = CalibrationJob(mapped(scans), tuple(scans), AREAS)
+    *before, link = job.steps()
+    assert before == [None] * 6
+    assert link == job.run()

@@ -58,6 +58,7 @@ def test_what_is_written_is_read(tmp_path, saved, compress) -> None:
     for name, array in saved.image.items():
         np.testing.assert_array_equal(read.image[name], array)
         assert read.image[name].dtype == array.dtype
+        assert read.image[name].flags.writeable, "else kernels are compiled once more"
 
 
 def test_the_same_map_gives_the_same_bytes(tmp_path, saved) -> None:

@@ -5,7 +5,8 @@ import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 
 from gpom_core.config import MapConfig
-from gpom_core.mapper import Mapper, TrainingJob
+from gpom_core.link import Link
+from gpom_core.mapper import CalibrationJob, Mapper, TrainingJob
 from service.clock import SystemClock
 from service.map_service import MapService, Ports
 from service.metrics import Metrics
@@ -57,6 +58,35 @@ def test_dead_workers_are_replaced_and_their_jobs_done_again() -> None:
     assert training.quarantined() == ()
     assert len(renewed) == 2
     renewed[-1].shutdown()
+
+
+def test_a_calibration_that_hangs_is_given_up_and_nobody_waits_for_it(
+    source, eventually, monkeypatch
+) -> None:
+    release = threading.Event()
+
+    def hang(job):
+        release.wait()
+        yield job.snapshot.link
+
+    settings = Settings(training=TrainingSettings(workers=1, job_timeout_s=1.0))
+    service = MapService(settings, Ports(source))
+    service.start()
+    try:
+        eventually(lambda: not service.troubles(), 100.0)
+        monkeypatch.setattr(CalibrationJob, "steps", hang)
+        source.put("robot", "front", payload_at())
+        service.flush().result(60.0)
+        failures = service.metrics.registry.get_sample_value("gpom_training_failures_total")
+        assert failures in (1.0, 2.0), "the one that was due, and the one of the flush"
+        monkeypatch.undo()
+        source.put("robot", "front", payload_at(1.0, 1.0, seq=2))
+        service.flush().result(60.0)
+        assert not service.state.dirty
+        assert service.state.snapshot.link != Link()
+    finally:
+        release.set()
+        service.stop()
 
 
 def test_an_expert_that_hangs_is_set_aside_and_the_map_goes_on(
