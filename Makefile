@@ -31,8 +31,8 @@ $(READY): pyproject.toml constraints.txt
 demo: setup ## a service, three simulated robots and the live map, on this machine
 	@$(BIN)/gpom demo
 
-test: setup ## all tests
-	@$(BIN)/python -m pytest
+test: setup ## all tests, two files at a time
+	@$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 check: setup ## format, lint, types and the rules about who may import whom
 	@$(BIN)/ruff format --check .
