@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import areas, beams, clusters, lines, rows, tiles
+from gpom_core import areas, beams, clusters, open_space, rows, tiles
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
-from gpom_core.observations import Observations, gather, observations_of
-from gpom_core.rows import POINT
+from gpom_core.observations import Seen, Weighing, observe
 from gpom_core.scan import Scan
 from gpom_core.sight import Rules, Sight, see
 
@@ -30,6 +29,7 @@ class Evidence:
     def __init__(self, config: MapConfig) -> None:
         self.config = config
         self._rules = Rules(*(float(getattr(config, name)) for name in Rules._fields))
+        self._weighing = Weighing(*(getattr(config, name) for name in Weighing._fields))
         self.rows = rows.new_rows()
         self.tiles = tiles.new_tiles()
         self.clusters = clusters.new_clusters()
@@ -58,6 +58,13 @@ class Evidence:
             (scan.range_min_m, scan.range_max_m, limit_m),
             self._rules, self.rows, self.tiles, self.clusters,
         )  # fmt: skip
+        close = int(self.tiles.size[tiles.CLOSE])
+        if close:
+            self._make_room(close * tiles.TILE_AREA, 0)
+            open_space.divide_close(
+                self.rows, self.tiles, self.clusters,
+                self.config.cell_m, self.config.near_surface_m,
+            )  # fmt: skip
         self._absorb_free(seen)
         self._forget_unused(clusters_before)
         if len(seen.long):
@@ -89,15 +96,17 @@ class Evidence:
                 c.segment_m, 0.5 * c.segment_m, c.free_cap,
             )  # fmt: skip
             return
-        start = 0
-        while start != rows.NONE:
-            start, new_rows, new_tiles = areas.absorb_free_areas(
+        start = 0, 0
+        while start[0] != rows.NONE:
+            start = areas.absorb_free_areas(
                 start, seen.origin, seen.direction, seen.free_m, seen.homes,
-                self.rows, self.tiles, self.clusters, c.cell_m, c.near_surface_m, c.free_cap,
+                self.rows, self.tiles, self.clusters, c.cell_m, c.near_surface_m,
+                c.coarse_levels >= tiles.TILE_SHIFT, c.free_cap,
                 c.hit_cap, (c.free_noise_std / c.hit_noise_std) ** 2,
             )  # fmt: skip
-            if start != rows.NONE:
-                self._make_room(new_rows, new_tiles)
+            if start[0] != rows.NONE:
+                self._make_room(tiles.TILE_AREA, 1)
+                self.clusters = clusters.with_room(self.clusters, 1)
 
     def _forget_unused(self, before: int) -> None:
         """Give back the numbers of clusters founded in vain: all they saw was known already."""
@@ -139,30 +148,10 @@ class Evidence:
         changed = (self.clusters.gain[:n] > 0.0) & (self.clusters.rows[:n] > 0)
         self.clusters.fresh[:n] += changed
 
-    def take(self, cluster: int) -> tuple[int, Observations]:
+    def take(self, cluster: int) -> tuple[int, Seen]:
         """The evidence of a cluster to train on, and its revision; it is clean from here on."""
         self.clusters.fresh[cluster] = 0
         self.clusters.gain[cluster] = 0.0
         self.clusters.revision[cluster] += 1
-        c = self.config
-        observations = observations_of(
-            self.rows, self.clusters, cluster,
-            cell_m=c.cell_m, levels=c.coarse_levels, coarsen_ratio=c.coarsen_ratio,
-            hit_noise_std=c.hit_noise_std, free_noise_std=c.free_noise_std,
-            hit_cap=c.hit_cap, free_cap=c.free_cap,
-        )  # fmt: skip
-        return int(self.clusters.revision[cluster]), observations
-
-    def line(self, cluster: int) -> NDArray[np.float64]:
-        """Ends (2, 2) of the line of a cluster, from the hits it owns; its origin if none."""
-        mine = gather(self.rows, self.clusters, cluster)
-        xy = self.rows.geometry[mine[self.rows.kind[mine] == POINT], 0]
-        if len(xy) == 0:
-            return np.repeat(self.clusters.origin[cluster][None], 2, axis=0)
-        moments = np.zeros(6)
-        lines.moments_of(xy - xy[0], moments)
-        cx, cy, tx, ty, _, _ = lines.principal_axis(moments)
-        centre, axis = xy[0] + np.array([cx, cy]), np.array([tx, ty])
-        along = (xy - centre) @ axis
-        ends: NDArray[np.float64] = centre + np.array([[along.min()], [along.max()]]) * axis
-        return ends
+        seen = observe(self.rows, self.clusters, cluster, self._weighing)
+        return int(self.clusters.revision[cluster]), seen

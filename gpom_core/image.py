@@ -31,7 +31,7 @@ from gpom_core.scan import Pose2D, Scan
 from gpom_core.snapshot import Snapshot
 from gpom_core.tiles import Tiles
 
-VERSION = 2
+VERSION = 3
 """Of the set of arrays; a higher one is refused."""
 
 LENGTH_SCALES_MAX = 50.0  # times the configured one: an expert's index grows with its square
@@ -52,6 +52,7 @@ _SHAPES: dict[str, tuple[str, tuple[int, ...]]] = {
     "row_kind": ("uint8", (_ANY,)),
     "row_geometry": ("float64", (_ANY, 2, 2)),
     "row_count": ("float64", (_ANY,)),
+    "row_crossed": ("uint8", (_ANY,)),
     "row_near": ("float64", (_ANY,)),
     "row_owner": ("int32", (_ANY,)),
     "row_order": ("int64", (_ANY,)),
@@ -59,6 +60,8 @@ _SHAPES: dict[str, tuple[str, tuple[int, ...]]] = {
     "tile_free": ("int32", (_ANY, 64)),
     "tile_hit": ("int32", (_ANY, 64)),
     "tile_first": ("int32", (_ANY,)),
+    "tile_whole": ("int32", (_ANY,)),
+    "whole_passed": ("float64", (_ANY, 64)),  # of the tiles that are one free area, in order
     "cluster_origin": ("float64", (_ANY, 2)),
     "cluster_moments": ("float64", (_ANY, 6)),
     "cluster_gain": ("float64", (_ANY,)),
@@ -115,6 +118,7 @@ def dump(mapper: Mapper) -> dict[str, NDArray[np.generic]]:
         "row_kind": rows.kind[:r].copy(),
         "row_geometry": rows.geometry[:r].copy(),
         "row_count": rows.count[:r].copy(),
+        "row_crossed": rows.crossed[:r].copy(),
         "row_near": rows.near[:r].copy(),
         "row_owner": rows.owner[:r].copy(),
         "row_order": _order(rows, clusters),
@@ -122,6 +126,8 @@ def dump(mapper: Mapper) -> dict[str, NDArray[np.generic]]:
         "tile_free": tiles.free[:t].copy(),
         "tile_hit": tiles.hit[:t].copy(),
         "tile_first": tiles.first[:t].copy(),
+        "tile_whole": tiles.whole[:t].copy(),
+        "whole_passed": tiles.passed[:t][tiles.whole[:t] != NONE],
         "cluster_origin": clusters.origin[:c].copy(),
         "cluster_moments": clusters.moments[:c].copy(),
         "cluster_gain": clusters.gain[:c].copy(),
@@ -302,7 +308,8 @@ def _load_rows(arrays: Image, config: MapConfig) -> Rows:
     _places(arrays["row_geometry"], config, "row_geometry")
     _require(bool((arrays["row_count"] >= 0).all()), "row_count is negative")  # type: ignore[operator]
     rows = row_room.new_rows(max(4096, used))
-    _fill(rows, arrays, "row", ("keys", "kind", "geometry", "count", "near", "owner"), used)
+    names = ("keys", "kind", "geometry", "count", "crossed", "near", "owner")
+    _fill(rows, arrays, "row", names, used)
     rows.size[0] = used
     row_room._index(rows, used)
     return rows
@@ -310,13 +317,22 @@ def _load_rows(arrays: Image, config: MapConfig) -> Rows:
 
 def _load_tiles(arrays: Image) -> Tiles:
     used, rows = len(arrays["tile_keys"]), len(arrays["row_kind"])
-    for name in ("tile_free", "tile_hit", "tile_first"):
+    for name in ("tile_free", "tile_hit", "tile_first", "tile_whole"):
         _within(arrays[name].ravel(), NONE, rows, name)
     keys = np.zeros((used, 2), np.int64)
     keys[:, 0] = arrays["tile_keys"]
     _require(len(np.unique(keys[:, 0])) == used, "tile_keys repeats")
     tiles = tile_room.new_tiles(max(256, used))
-    _fill(tiles, arrays, "tile", ("free", "hit", "first"), used)
+    _fill(tiles, arrays, "tile", ("free", "hit", "first", "whole"), used)
+    whole = np.flatnonzero(tiles.whole[:used] != NONE)
+    passed = np.asarray(arrays["whole_passed"], np.float64)
+    _require(len(passed) == len(whole) and bool((passed >= 0.0).all()), "whole_passed")
+    areas = tiles.whole[whole]
+    crossed = np.count_nonzero(passed, axis=1)
+    owned = (arrays["row_owner"][areas] != NONE) & (crossed > 0)
+    fits = owned & (arrays["row_crossed"][areas] == crossed)
+    _require(bool(fits.all()) and len(np.unique(areas)) == len(areas), "tile_whole does not fit")
+    tiles.passed[whole] = passed
     for kind, held in enumerate((tiles.free, tiles.hit)):
         tiles.used[:used, kind] = np.count_nonzero(held[:used] != NONE, axis=1)
     tile_room._index(tiles, keys)

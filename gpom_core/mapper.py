@@ -18,7 +18,6 @@ from gpom_core.link import Link
 from gpom_core.member import Member
 from gpom_core.observations import Observations
 from gpom_core.recalibration import SCANS, CalibrationJob
-from gpom_core.rows import BOX
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
 
@@ -30,6 +29,7 @@ CALIBRATE_AFTER = 4.0  # times the map was trained anew since the last calibrati
 USUAL_COUNT = 5.0  # traversals of a cell, at which an expert has the configured length scale
 LENGTH_SCALE_POWER = 0.2
 LENGTH_SCALE_RANGE = (0.85, 1.6)
+MOSTLY = 0.5
 LINK_TOLERANCE = 0.003  # of a probability; a smaller change is not worth a new picture
 
 
@@ -71,18 +71,17 @@ def _run_or_error(job: TrainingJob) -> TrainedExpert | TrainingError:
         return error
 
 
-def length_scale_m(observations: Observations, config: MapConfig) -> float:
-    """Length scale of an expert: the longer, the less its free places were looked at.
+def length_scale_m(often: float, far: float, config: MapConfig) -> float:
+    """Length scale of an expert: the longer, the less `often` its free areas were crossed.
 
-    Few beams have to speak for what lies between them; many show detail.
+    Few beams have to speak for what lies between them; many show detail, but there is none where
+    most of the free area, a share `far`, is in the open.
     """
-    box = observations.kinds == BOX
-    low, high = observations.geometry[box, 0], observations.geometry[box, 1]
-    cells = float((high - low).prod(axis=1).sum()) / config.cell_m**2
-    if cells == 0.0:
+    if often == 0.0:
         return config.length_scale_m
-    crossed = max(float(observations.count[box].sum()) / cells, 1e-9)
-    factor = float((USUAL_COUNT / crossed) ** LENGTH_SCALE_POWER)
+    if far > MOSTLY:
+        return config.length_scale_m * LENGTH_SCALE_RANGE[1]
+    factor = float((USUAL_COUNT / max(often, 1e-9)) ** LENGTH_SCALE_POWER)
     return config.length_scale_m * min(max(factor, LENGTH_SCALE_RANGE[0]), LENGTH_SCALE_RANGE[1])
 
 
@@ -195,7 +194,8 @@ class Mapper:
         waiting.reverse()
         while waiting and len(jobs) < limit:
             cluster = waiting.pop()
-            revision, observations = self._evidence.take(cluster)
+            revision, seen = self._evidence.take(cluster)
+            observations = seen.observations()
             if len(observations) == 0:
                 self._gone.add(cluster)
                 continue
@@ -212,9 +212,9 @@ class Mapper:
                     revision=revision,
                     observations=observations,
                     hyperparameters=Hyperparameters(
-                        length_scale_m(observations, self.config), self.config.signal_std
+                        length_scale_m(seen.often, seen.far, self.config), self.config.signal_std
                     ),
-                    line=self._evidence.line(cluster),
+                    line=seen.line,
                     learning=self._learning,
                     learned_before=self._learned(cluster),
                 )

@@ -139,7 +139,7 @@ class _Index:
 
     def _shares(self, scan: Scan) -> _Floats:
         """How much of each observation's count, of all experts, is the scan's."""
-        alone = Evidence(self._config)
+        alone = Evidence(self._config.model_copy(update={"coarse_levels": 0}))
         alone.add(scan)
         n = alone.observation_count
         kind, geometry, count = (
@@ -187,10 +187,13 @@ def _places(
     Args:
         geometry: (n, 2, 2). level: areas of `cell_m` count as those of `cell_m * 2^level`.
     """
-    width = geometry[:, 1, 0] - geometry[:, 0, 0]
     box = kinds == BOX
     own = np.zeros(len(kinds), np.int64)
-    own[box] = np.rint(np.log2(np.maximum(width[box], 1e-9) / config.cell_m)).astype(np.int64)
+    low = np.rint(geometry[box, 0] / config.cell_m).astype(np.int64)
+    high = np.rint(geometry[box, 1] / config.cell_m).astype(np.int64) - 1
+    for _ in range(config.coarse_levels):  # the lattice's smallest cell that holds the area
+        apart = (low >> own[box, None] != high >> own[box, None]).any(axis=1)
+        own[np.flatnonzero(box)[apart]] += 1
     own = own + level
     edge = np.where(kinds == SEGMENT, 0.5 * config.segment_m, config.hit_cell_m)
     edge = np.where(box, config.cell_m * 2.0**own, edge)

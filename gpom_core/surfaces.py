@@ -19,13 +19,16 @@ from gpom_core.rows import (
     find_or_add,
 )
 from gpom_core.tiles import (
+    CLOSE,
     FREE,
     HIT,
     TILE_AREA,
     TILE_CELLS,
     TILE_SHIFT,
     Tiles,
+    cells_to_tile,
     gap_to_tile,
+    open_from,
     place_in_tile,
     tile_at,
 )
@@ -118,7 +121,10 @@ def _new_hit(
 def _claim_free_areas(
     hit: int, rows: Rows, tiles: Tiles, clusters: Clusters, cell_m: float, near_m: float
 ) -> None:
-    """Give the free areas around a new surface to its cluster where it is the nearest."""
+    """Give the free areas around a new surface to its cluster where it is the nearest.
+
+    Tiles around it that are one free area are to be divided.
+    """
     near, far_m, free, used = rows.near, tiles.far_m, tiles.free, tiles.used
     slots, keys = tiles.slots, tiles.keys
     owner, before, after = rows.owner, rows.before, rows.after
@@ -127,14 +133,26 @@ def _claim_free_areas(
     x, y = rows.geometry[hit, 0, 0], rows.geometry[hit, 0, 1]
     edge = TILE_CELLS * cell_m
     across = np.empty(TILE_CELLS)
-    for tx in range(int(np.floor((x - near_m) / edge)), int(np.floor((x + near_m) / edge)) + 1):
-        for ty in range(int(np.floor((y - near_m) / edge)), int(np.floor((y + near_m) / edge)) + 1):
+    ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
+    reach = open_from(near_m, cell_m)
+    reach_m = (reach + 1.0) * cell_m
+    for tx in range(int(np.floor((x - reach_m) / edge)), int(np.floor((x + reach_m) / edge)) + 1):
+        for ty in range(
+            int(np.floor((y - reach_m) / edge)), int(np.floor((y + reach_m) / edge)) + 1
+        ):
             gap = gap_to_tile(tx, ty, x, y, cell_m)
-            if gap >= near_m:
+            if gap >= reach_m:
                 continue
             tile = find(slots, keys, cell_key(0, tx, ty), 0)
             # most tiles have surfaces of their own, nearer than this one
-            if tile == NONE or used[tile, FREE] == 0 or gap >= far_m[tile]:
+            if tile == NONE or gap >= far_m[tile]:
+                continue
+            if tiles.whole[tile] != NONE and cells_to_tile(ix, iy, tx, ty) < reach * reach:
+                tiles.close[tiles.size[CLOSE]] = tile
+                tiles.size[CLOSE] += 1
+                far_m[tile] = 0.0
+                continue
+            if used[tile, FREE] == 0:
                 continue
             for i in range(TILE_CELLS):
                 across[i] = ((ty * TILE_CELLS + i + 0.5) * cell_m - y) ** 2
@@ -199,6 +217,6 @@ def nearest_hit(
                         dx, dy = x - geometry[hit, 0, 0], y - geometry[hit, 0, 1]
                         d = np.sqrt(dx * dx + dy * dy)
                         if d < nearest:
-                            best, nearest = hit, d
+                            best, nearest = int(hit), d
         ring += 1
     return best, (nearest if best != NONE else np.inf)

@@ -18,10 +18,13 @@ TILE_SHIFT = 3
 TILE_CELLS = 1 << TILE_SHIFT
 TILE_AREA = TILE_CELLS * TILE_CELLS
 FREE, HIT = 0, 1  # columns of `Tiles.used`
+CLOSE = 1  # in `Tiles.size`
 
 
 class Tiles(NamedTuple):
     """Struct of arrays; `size[0]` tiles are in use, all others hold NONE.
+
+    A tile that no surface is near to may have one free area for all its cells.
 
     Attributes:
         slots, keys: hash index, as in `Rows`.
@@ -30,6 +33,9 @@ class Tiles(NamedTuple):
         used: (t, 2) how many cells have a free area, and how many a hit.
         far_m: (t,) no free area of the tile is farther from its nearest hit.
         first: (t,) row of the tile's first free area in the open: its cluster is at home here.
+        whole: (t,) row of the free area that stands for all cells, or NONE.
+        passed: (t, 64) how often its cells were crossed; 0 where cells have rows of their own.
+        close: (t,) the first `size[1]` of these are tiles to divide: a surface came near to them.
     """
 
     slots: NDArray[np.int32]
@@ -39,6 +45,9 @@ class Tiles(NamedTuple):
     used: NDArray[np.int32]
     far_m: NDArray[np.float64]
     first: NDArray[np.int32]
+    whole: NDArray[np.int32]
+    passed: NDArray[np.float64]
+    close: NDArray[np.int32]
     size: NDArray[np.int64]
 
 
@@ -52,7 +61,10 @@ def new_tiles(capacity: int = 256) -> Tiles:
         used=np.zeros((capacity, 2), np.int32),
         far_m=np.full(capacity, np.inf),
         first=np.full(capacity, NONE, np.int32),
-        size=np.zeros(1, np.int64),
+        whole=np.full(capacity, NONE, np.int32),
+        passed=np.zeros((capacity, TILE_AREA)),
+        close=np.zeros(capacity, np.int32),
+        size=np.zeros(2, np.int64),
     )
 
 
@@ -62,8 +74,11 @@ def with_room(tiles: Tiles, extra: int) -> Tiles:
     if used + extra <= capacity:
         return tiles
     grown = new_tiles(max(2 * capacity, used + extra))
-    for name in ("free", "hit", "used", "far_m", "first"):
+    for name in ("free", "hit", "used", "far_m", "first", "whole", "close"):
         getattr(grown, name)[:used] = getattr(tiles, name)[:used]
+    whole = np.flatnonzero(tiles.whole[:used] != NONE)
+    grown.passed[whole] = tiles.passed[whole]  # the others' memory is never touched
+    grown.size[CLOSE] = tiles.size[CLOSE]
     _index(grown, tiles.keys[:used])
     return grown
 
@@ -96,3 +111,20 @@ def gap_to_tile(tx: int, ty: int, x: float, y: float, cell_m: float) -> float:
     dx = max(tx * edge - x, x - (tx + 1) * edge, 0.0)
     dy = max(ty * edge - y, y - (ty + 1) * edge, 0.0)
     return float(np.sqrt(dx * dx + dy * dy))
+
+
+@inlined
+def cells_to_tile(ix: int, iy: int, tx: int, ty: int) -> int:
+    """Squared distance of cell (ix, iy) from the nearest cell of the tile (tx, ty), in cells."""
+    dx = max(tx * TILE_CELLS - ix, ix - (tx * TILE_CELLS + TILE_CELLS - 1), 0)
+    dy = max(ty * TILE_CELLS - iy, iy - (ty * TILE_CELLS + TILE_CELLS - 1), 0)
+    return dx * dx + dy * dy
+
+
+@inlined
+def open_from(near_m: float, cell_m: float) -> float:
+    """Distance in cells from which on a cell with a hit is not near to a tile, wherever it is hit.
+
+    Cells are compared and not hits, which move: no order of scans makes a difference.
+    """
+    return near_m / cell_m + 0.75  # the hit may be at the near corner of its cell

@@ -64,9 +64,9 @@ def replay(mapper: Mapper, scans: list[Scan]) -> Growth:
 
 def area_m2(mapper: Mapper) -> float:
     """Area of the lattice's cells that a beam went through."""
-    rows = mapper._evidence.rows
-    free = np.count_nonzero(rows.kind[: mapper.observation_count] == BOX)
-    return float(free) * mapper.config.cell_m**2
+    rows, n = mapper._evidence.rows, mapper.observation_count
+    free = np.maximum(rows.crossed[:n], 1)[rows.kind[:n] == BOX]
+    return float(free.sum()) * mapper.config.cell_m**2
 
 
 def megabytes(mapper: Mapper) -> float:

@@ -23,7 +23,7 @@ def rows_of(evidence: Evidence, kind: int) -> np.ndarray:
 
 
 def one_beam(x: float, y: float, angle: float, length: float) -> Evidence:
-    return evidence_of(scan_of([length], x, y, first=angle, step=0.01))
+    return evidence_of(scan_of([length], x, y, first=angle, step=0.01), coarse_levels=0)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 4, np.pi / 2, 2.0, np.pi, -2.7, -np.pi / 2])

@@ -58,7 +58,7 @@ def test_a_single_hit_makes_a_cluster_with_its_beam(mode: str) -> None:
     end = 1.52 * np.array([np.cos(0.3), np.sin(0.3)])
     np.testing.assert_allclose(evidence.rows.geometry[hit], [end, end], rtol=1e-6)
     assert evidence.observation_count > 3
-    np.testing.assert_allclose(evidence.line(0), [end, end], rtol=1e-6)
+    np.testing.assert_allclose(evidence.take(0)[1].line, [end, end], rtol=1e-6)
     assert_consistent(evidence)
 
 
@@ -69,8 +69,8 @@ def test_a_scan_without_any_return_is_all_free(mode: str) -> None:
     assert np.count_nonzero(evidence.clusters.rows) == 1
     ends = evidence.rows.geometry[: evidence.observation_count]
     assert ends.max() == pytest.approx(5.0, abs=0.11)
-    assert evidence.line(0).tolist() == [[1.0, 2.0], [1.0, 2.0]]
-    _, observations = evidence.take(0)
+    assert evidence.take(0)[1].line.tolist() == [[1.0, 2.0], [1.0, 2.0]]
+    observations = evidence.take(0)[1].observations()
     assert (observations.targets == -1.0).all()
     assert_consistent(evidence)
 
@@ -183,9 +183,9 @@ def test_clusters_are_dirty_when_they_have_grown_and_clean_when_taken() -> None:
     assert sorted(dirty) == np.flatnonzero(evidence.clusters.rows).tolist()
     change = (evidence.clusters.fresh + evidence.clusters.gain)[dirty].tolist()
     assert change == sorted(change, reverse=True)
-    revision, observations = evidence.take(dirty[0])
+    revision, seen = evidence.take(dirty[0])
     assert revision == 1
-    assert len(observations) > 0
+    assert len(seen.observations()) > 0
     assert dirty[0] not in evidence.dirty()
     assert len(evidence.dirty()) == len(dirty) - 1
 
@@ -222,7 +222,7 @@ def test_cells_that_are_grazed_are_evidence_but_no_news() -> None:
 def test_the_line_of_a_cluster_runs_along_its_hits() -> None:
     evidence = evidence_of(look(0.0, 0.0, walls=[((-1.0, 0.5), (1.0, 1.0))], beams=720))
     (cluster,) = np.flatnonzero(evidence.clusters.moments[:, 0])
-    ends = evidence.line(int(cluster))
+    ends = evidence.take(int(cluster))[1].line
     if ends[0, 0] > ends[1, 0]:
         ends = ends[::-1]
     np.testing.assert_allclose(ends, [(-1.0, 0.5), (1.0, 1.0)], atol=0.05)

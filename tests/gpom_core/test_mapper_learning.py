@@ -1,10 +1,11 @@
 """The online map learns length scales when it is told to, and only then."""
 
 import numpy as np
+import pytest
 
 from gpom_core.config import MapConfig
-from gpom_core.expert import Hyperparameters
 from gpom_core.mapper import Mapper, TrainingJob, length_scale_m
+from gpom_core.rows import BOX
 from tests.gpom_core.synthetic import tour
 
 LEARNING = MapConfig(learn_hyperparameters=True, learning_budget_s=60.0)
@@ -22,8 +23,14 @@ def test_experts_keep_the_settings_unless_told_to_learn():
     config = MapConfig()
     for member in trained(config).snapshot().members.values():
         expert = member.expert
-        given = length_scale_m(expert.observations, config)
-        assert expert.hyperparameters == Hyperparameters(given, config.signal_std)
+        free = expert.observations.kinds == BOX
+        low, high = expert.observations.geometry[free].swapaxes(0, 1)
+        cells = (high - low).prod(axis=1).sum() / config.cell_m**2
+        often = float(expert.observations.count[free].sum() / cells) if free.any() else 0.0
+        assert expert.hyperparameters.length_scale_m == pytest.approx(
+            length_scale_m(often, 0.0, config)
+        )
+        assert expert.hyperparameters.signal_std == config.signal_std
 
 
 def test_experts_learn_their_own_length_scale_and_share_the_prior():

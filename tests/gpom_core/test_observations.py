@@ -5,7 +5,7 @@ import pytest
 
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
-from gpom_core.observations import Observations, gather, merge_areas
+from gpom_core.observations import Observations, merge_areas
 from gpom_core.rows import BOX, POINT, SEGMENT, cell_key
 from tests.gpom_core.synthetic import look, points_observed, scan_of, tour
 
@@ -31,8 +31,15 @@ def merged(
 ) -> list[tuple[float, float, float, float]]:
     """Low corner, edge and count of the merged areas, in cells, in order."""
     n = len(cells)
-    geometry, total, _ = merge_areas(
-        keys(cells), np.full(n, count), np.full(n, near), CELL_M, levels, RATIO, cap
+    geometry, total, *_ = merge_areas(
+        keys(cells),
+        np.full(n, count),
+        np.full(n, near),
+        np.zeros(n, np.bool_),
+        CELL_M,
+        levels,
+        RATIO,
+        cap,
     )
     np.testing.assert_allclose(*(geometry[:, 1] - geometry[:, 0]).T, atol=1e-12)
     edge = geometry[:, 1, 0] - geometry[:, 0, 0]
@@ -76,9 +83,9 @@ def test_areas_are_coarse_only_far_from_surfaces(near: float, edge: int) -> None
 
 
 def test_the_weight_is_the_sum_of_the_capped_counts() -> None:
-    geometry, total, capped = merge_areas(
+    geometry, total, capped, _ = merge_areas(
         keys(block(0, 0, 2)), np.array([1.0, 50.0, 500.0, 2.0]), np.full(4, np.inf),
-        CELL_M, 1, RATIO, 100.0,
+        np.zeros(4, np.bool_), CELL_M, 1, RATIO, 100.0,
     )  # fmt: skip
     assert len(geometry) == 1
     assert total.tolist() == [553.0]
@@ -94,10 +101,12 @@ def test_observations_are_in_the_order_of_their_places() -> None:
     for evidence, first, second in [(a, 1.03, 1.53), (b, 1.53, 1.03)]:
         for x in (first, second):
             evidence.add(scan_of([3.03 - x, 3.04 - x], x, 0.02, first=0.01, step=0.02))
-    order = [evidence.rows.keys[gather(evidence.rows, evidence.clusters, 0)] for evidence in (a, b)]
-    assert len(order[0]) > 10
-    assert np.array_equal(order[0], order[1])
-    assert np.array_equal(order[0][:, 0], np.sort(order[0][:, 0]))
+    one, other = (evidence.take(0)[1].observations() for evidence in (a, b))
+    assert len(one) > 10
+    assert set(one.kinds.tolist()) == {POINT, BOX}
+    assert np.array_equal(one.kinds, other.kinds)
+    assert np.array_equal(one.geometry[one.kinds == BOX], other.geometry[one.kinds == BOX])
+    np.testing.assert_allclose(one.geometry, other.geometry, atol=1e-9)
 
 
 def test_targets_noise_and_counts_follow_the_evidence() -> None:
@@ -105,7 +114,7 @@ def test_targets_noise_and_counts_follow_the_evidence() -> None:
     evidence = Evidence(config)
     for _ in range(6):
         evidence.add(scan_of([1.01], 0.01, 0.02, first=0.0, step=0.01))
-    _, o = evidence.take(0)
+    o = evidence.take(0)[1].observations()
     hit = o.kinds == POINT
     assert o.targets[hit].tolist() == [1.0]
     assert o.count[hit].tolist() == [6.0]
@@ -117,13 +126,15 @@ def test_targets_noise_and_counts_follow_the_evidence() -> None:
 
 
 def test_merging_keeps_the_free_area_and_its_count() -> None:
-    fine, coarse = Evidence(MapConfig(coarse_levels=0)), Evidence(MapConfig())
+    # No place is so far from all surfaces that its tile is one row.
+    fine = Evidence(MapConfig(near_surface_m=20.0, coarse_levels=0))
+    coarse = Evidence(MapConfig(near_surface_m=20.0))
     for scan in tour(5):
         fine.add(scan)
         coarse.add(scan)
     smaller = 0
     for c in range(int(fine.clusters.size[0])):
-        a, b = fine.take(c)[1], coarse.take(c)[1]
+        a, b = fine.take(c)[1].observations(), coarse.take(c)[1].observations()
         for of in (area_of, lambda o: float(o.count[o.kinds == BOX].sum())):
             assert of(a) == pytest.approx(of(b), rel=1e-9)
         smaller += len(a) - len(b)
@@ -139,7 +150,7 @@ def test_segments_are_observations_too() -> None:
     evidence = Evidence(MapConfig(free_evidence="segments"))
     evidence.add(look(0.0, 0.0))
     kinds = np.concatenate(
-        [evidence.take(c)[1].kinds for c in range(int(evidence.clusters.size[0]))]
+        [evidence.take(c)[1].observations().kinds for c in range(int(evidence.clusters.size[0]))]
     )
     assert set(kinds.tolist()) == {POINT, SEGMENT}
 

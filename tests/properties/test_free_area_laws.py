@@ -42,7 +42,8 @@ def lattices(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_merging_keeps_area_and_counts_and_is_fine_near_hits(lattice, levels: int) -> None:
     cells, count, near = lattice
     keys = np.array([cell_key(BOX, int(x), int(y)) for x, y in cells], np.int64)
-    geometry, total, capped = merge_areas(keys, count, near, CELL_M, levels, RATIO, CAP)
+    fine = np.zeros(len(keys), np.bool_)
+    geometry, total, capped, _ = merge_areas(keys, count, near, fine, CELL_M, levels, RATIO, CAP)
 
     low = np.round(geometry[:, 0] / CELL_M).astype(int)
     edge = np.round((geometry[:, 1] - geometry[:, 0]) / CELL_M).astype(int)
@@ -73,7 +74,10 @@ def test_merging_does_not_depend_on_the_order_of_cells(lattice, levels: int, ran
     random.shuffle(order)
 
     def areas(of: list[int]) -> dict[tuple[float, ...], float]:
-        geometry, total, _ = merge_areas(keys[of], count[of], near[of], CELL_M, levels, RATIO, CAP)
+        fine = np.zeros(len(of), np.bool_)
+        geometry, total, *_ = merge_areas(
+            keys[of], count[of], near[of], fine, CELL_M, levels, RATIO, CAP
+        )
         return {tuple(g.ravel()): t for g, t in zip(np.round(geometry, 6), total, strict=True)}
 
     a, b = areas(order), areas(sorted(order))
