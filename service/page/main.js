@@ -32,7 +32,7 @@ const theme = () => state.theme ?? (dark.matches ? "dark" : "light");
 const map = createMap(byId("map"));
 document.documentElement.dataset.theme = theme();
 map.setView(at(wanted.view?.x ?? 0, wanted.view?.y ?? 0), wanted.view?.zoom ?? 4);
-const tiles = new LiveTiles(state.layer, theme()).addTo(map);
+const tiles = new LiveTiles(state.layer, theme());
 const grid = new Grid(map, byId("grid"), byId("scale"));
 const robots = new Robots(map);
 const clusters = new Clusters(map);
@@ -252,6 +252,7 @@ paint();
 if (wanted.pin) readout.pin(wanted.pin);
 if (wanted.line) profile.set(wanted.line);
 showStatus(await firstStatus);
+tiles.addTo(map); // not before it is known where the map is
 feed.start();
 // For tests and for the curious: what the page knows.
 window.gpom = { map, tiles, robots, state };

@@ -27,6 +27,7 @@ export function createMap(element) {
     maxZoom: 9,
     zoomControl: false,
     attributionControl: false,
+    fadeAnimation: false, // tiles come decoded; fading each in would draw the whole map again and again
     preferCanvas: true,
     wheelPxPerZoomLevel: 90,
     maxBoundsViscosity: 0,

@@ -1,7 +1,7 @@
 // The picture of the map: tiles that are asked for again only where the map has changed, and
 // replaced only when the service says, by their ETag, that they differ.
 
-const AT_ONCE = 4;
+const AT_ONCE = 6; // as many as browsers ask one address at once
 const TRIES = 6;
 const RETINA = window.devicePixelRatio > 1.3 ? 1 : 0;
 
@@ -51,7 +51,7 @@ export const LiveTiles = L.GridLayer.extend({
     const tile = document.createElement("img");
     tile.className = "tile";
     tile.alt = "";
-    tile.live = { coords, done, etag: "", asked: 0, tries: 0, abort: new AbortController() };
+    tile.live = { coords, done, etag: "", asked: 0, tries: 0, busy: false, abort: new AbortController() };
     this._waiting.add(tile);
     this._work();
     return tile;
@@ -62,12 +62,15 @@ export const LiveTiles = L.GridLayer.extend({
   },
 
   _work() {
-    while (this._busy < AT_ONCE && this._waiting.size > 0) {
-      const tile = this._nearest();
+    let tile;
+    while (this._busy < AT_ONCE && (tile = this._nearest())) {
+      const { live } = tile;
       this._waiting.delete(tile);
       this._busy += 1;
+      live.busy = true;
       this._load(tile).catch(() => this._again(tile)).finally(() => {
         this._busy -= 1;
+        live.busy = false;
         this._work();
       });
     }
@@ -80,7 +83,8 @@ export const LiveTiles = L.GridLayer.extend({
     let best = null;
     let least = Infinity;
     for (const tile of this._waiting) {
-      const { coords, done, etag, asked } = tile.live;
+      const { coords, done, etag, asked, busy } = tile.live;
+      if (busy) continue; // its turn comes when what is under way is there
       const far = Math.hypot(coords.x + 0.5 - middle.x, coords.y + 0.5 - middle.y);
       // By turns: where robots drive, tiles change faster than they come.
       const rank = done ? far : etag === "" ? 1e3 + far : 1e6 + asked;
@@ -102,7 +106,7 @@ export const LiveTiles = L.GridLayer.extend({
     live.tries = 0;
     if (etag === null || etag !== live.etag) {
       live.etag = etag ?? "";
-      await show(tile, await answer.blob());
+      await show(tile, await answer.blob(), Boolean(live.done));
     }
     if (etag === null) this._waiting.add(tile); // the real one, when all drafts are there
     const { done } = live;
@@ -128,15 +132,18 @@ export const LiveTiles = L.GridLayer.extend({
   },
 });
 
-async function show(tile, blob) {
+async function show(tile, blob, first) {
   const address = URL.createObjectURL(blob);
   try {
-    // Decoded before it is swapped in, so that a refresh never flickers.
-    const picture = new Image();
-    picture.src = address;
-    await picture.decode();
-    tile.src = address;
-    await tile.decode();
+    if (!first) {
+      // Decoded before it is swapped in, so that a refresh never flickers.
+      const picture = new Image();
+      picture.src = address;
+      await picture.decode();
+    }
+    await new Promise((done, fail) => {
+      Object.assign(tile, { onload: done, onerror: fail, src: address });
+    });
   } finally {
     URL.revokeObjectURL(address);
   }
