@@ -18,8 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.special import expit, log_expit
 
 from gpom_core.jit import compiled, vectorised
 
@@ -100,6 +98,10 @@ def fit(mean: _Floats, left: _Floats, occupied: NDArray[np.bool_]) -> Link:
         mean: (n,) latent, at observations that are left out. left: (n,) share of the prior
             variance. occupied: (n,) what was observed.
     """
+    # Slow to load, and nobody who starts needs them.
+    from scipy.optimize import minimize  # noqa: PLC0415
+    from scipy.special import expit, log_expit  # noqa: PLC0415
+
     if len(mean) == 0:
         return Link()
     terms = _terms(mean, np.clip(left, _LEAST_VARIANCE, 1.0)) / _SPREAD

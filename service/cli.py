@@ -50,6 +50,9 @@ def serve(
         typer.echo(annotated_yaml(settings), nl=False)
         return
 
+    from service.priority import load_without_collector  # noqa: PLC0415
+
+    load_without_collector()
     from service import logs, server  # noqa: PLC0415
     from service.errors import JournalError, MapFileError, SourceError  # noqa: PLC0415
 

@@ -21,7 +21,7 @@ from service.access import check_exposure
 from service.errors import SourceError
 from service.http.app import create_app
 from service.map_service import MapService
-from service.priority import share_interpreter
+from service.priority import collect_what_is_new, share_interpreter
 from service.settings import HttpSettings, Settings
 
 logger = logging.getLogger(__name__)
@@ -83,6 +83,7 @@ async def _serve(
         await asyncio.wait({serving, starting}, return_when=asyncio.FIRST_COMPLETED)
         if starting.done():
             starting.result()
+            collect_what_is_new()
             zenoh = ",".join(service.endpoints) or "none"
             http = _url(listener, settings.http)
             announce(f"gpom: listening http={http} zenoh={zenoh} prefix={settings.zenoh.prefix}")

@@ -15,7 +15,7 @@ from gpom_core.sweep import to_scan, to_still_scan
 from gpom_core.transforms import from_planar
 from service.clock import SystemClock
 from service.map_service import MapService, Ports
-from service.priority import share_interpreter
+from service.priority import collect_what_is_new, share_interpreter
 from service.ros.gateway import RosGateway
 from service.ros.intake import Intake, RosMessage
 from service.ros_settings import RosSettings
@@ -96,6 +96,7 @@ def test_ten_robots_at_forty_hertz(tmp_path) -> None:
     service = MapService(settings, Ports(source, journal))
     share_interpreter()  # as the service's own process does
     service.start()
+    collect_what_is_new()
     try:
         wait_until(lambda: not service.troubles(), 300.0)
         module = "tests.benchmarks.ros_fleet"
