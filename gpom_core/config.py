@@ -6,6 +6,20 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+FREE_TO_CHANGE = frozenset(
+    {
+        "max_observations",
+        "retrain_gain",
+        "learn_hyperparameters",
+        "learning_spread",
+        "learning_evaluations",
+        "learning_budget_s",
+        "known_variance_ratio",
+    }
+)
+"""Settings under which a saved map may go on with another value: they say when and how long experts
+are trained from now on, and what is called known. All others say what evidence is and means."""
+
 
 class MapConfig(BaseModel):
     """Everything that shapes the map. `MapConfig()` is a good map of a building.
@@ -62,6 +76,14 @@ class MapConfig(BaseModel):
     known_variance_ratio: float = Field(
         0.8, gt=0.0, lt=1.0, description="below this share of the prior variance a point is known"
     )
+
+    def clash(self, other: MapConfig) -> dict[str, object]:
+        """Settings of another map that keep it from going on with these, with their values."""
+        return {
+            name: theirs
+            for name, theirs in other
+            if theirs != getattr(self, name) and name not in FREE_TO_CHANGE
+        }
 
     @model_validator(mode="after")
     def _cells_fit(self) -> MapConfig:

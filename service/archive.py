@@ -38,7 +38,7 @@ class Archive:
     Args:
         directory: made if it does not exist.
         settings: of the journal and the checkpoints.
-        config: of the map; checkpoints of another one are refused.
+        config: of the map; checkpoints of one whose evidence means something else are refused.
         clock: tells when a checkpoint was saved.
     """
 
@@ -119,7 +119,7 @@ class Archive:
         try:
             saved = read_map(path, self._settings.map_bytes_max)
             self._check(saved, path)
-            mapper = load(saved.image, saved.config, executor)
+            mapper = load(saved.image, self._config, executor)
         except GpomError as error:
             message = f"{error}. {self._advice(path)}"
             raise MapFileError(message) from error
@@ -157,10 +157,9 @@ class Archive:
                 f"{self.journal.position}: it is an older copy"
             )
             raise MapFileError(message)
-        if saved.config != self._config:
-            ours, theirs = self._config.model_dump(), saved.config.model_dump()
-            changed = [name for name in ours if ours[name] != theirs[name]]
-            raise MapFileError(f"the settings map.{', map.'.join(changed)} differ from {path}'s")
+        if clash := self._config.clash(saved.config):
+            theirs = ", ".join(f"map.{name}: {value}" for name, value in clash.items())
+            raise MapFileError(f"{path} was made with other settings ({theirs})")
 
     def _advice(self, path: Path) -> str:
         others = len(self.checkpoints()) - 1

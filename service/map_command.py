@@ -62,12 +62,11 @@ def import_map(
 
     settings = load_settings(config, {"data_dir": data_dir})
     saved = read_map(file, settings.journal.map_bytes_max)
-    if saved.config != settings.map:
-        ours, theirs = settings.map.model_dump(), saved.config.model_dump()
-        wanted = ", ".join(f"map.{k}: {v!r}" for k, v in theirs.items() if ours[k] != v)
+    if clash := settings.map.clash(saved.config):
+        wanted = ", ".join(f"map.{name}: {value!r}" for name, value in clash.items())
         message = f"{file} was made with other settings; give them in --config: {wanted}"
         raise MapFileError(message)
-    mapper = load(saved.image, saved.config)  # refuses what only looks like a map
+    mapper = load(saved.image, settings.map)  # refuses what only looks like a map
     archive = Archive(data_dir, settings.journal, settings.map, SystemClock())
     if archive.journal.path.exists() or archive.checkpoints():
         raise MapFileError(f"{data_dir} holds a map already; import into an empty directory")

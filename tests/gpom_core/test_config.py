@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from gpom_core.config import MapConfig
+from gpom_core.config import FREE_TO_CHANGE, MapConfig
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,12 @@ def test_a_configuration_does_not_change() -> None:
 def test_a_configuration_survives_being_written_and_read() -> None:
     config = MapConfig(cell_m=0.2, free_evidence="segments")
     assert MapConfig.model_validate_json(config.model_dump_json()) == config
+
+
+def test_settings_that_change_what_evidence_means_clash() -> None:
+    ours = MapConfig()
+    free = {"retrain_gain": 0.7, "max_observations": 99, "known_variance_ratio": 0.5}
+    assert ours.clash(MapConfig(**free)) == {}
+    theirs = MapConfig(cell_m=0.2, hit_cap=7.0, **free)
+    assert ours.clash(theirs) == {"cell_m": 0.2, "hit_cap": 7.0}
+    assert set(MapConfig.model_fields) > FREE_TO_CHANGE

@@ -286,7 +286,28 @@ def test_damaged_checkpoints_are_refused_with_what_to_do(house) -> None:
 def test_other_settings_of_the_map_are_refused_with_what_to_do(house) -> None:
     house.drive(1, 3)
     house.service.stop()
-    refused(house, r"settings map.cell_m differ.*move checkpoint-.* away", cell_m=0.2)
+    refused(
+        house,
+        r"other settings \(map.cell_m: 0.1, map.hit_noise_std: 0.42\). Nothing was changed.*"
+        r"set the settings back, or move checkpoint-.* away to integrate all scans",
+        cell_m=0.2,
+        hit_noise_std=0.5,
+        retrain_gain=0.3,
+    )
+
+
+def test_a_map_goes_on_with_other_settings_of_when_to_train(house) -> None:
+    house.drive(1, 12)
+    before = occupancy(house.service)
+    house.service.stop()
+    house.start(retrain_gain=0.2, max_observations=40, known_variance_ratio=0.5)
+    np.testing.assert_allclose(occupancy(house.service), before, rtol=0, atol=1e-9)
+    house.drive(13, 20)
+    experts = house.service.state.snapshot.experts()
+    assert max(expert.observations for expert in experts) <= 40
+    house.service.stop()
+    house.start(retrain_gain=0.2)
+    assert house.service.state.scans_integrated == 20
 
 
 def test_what_does_not_belong_together_is_refused(house, tmp_path) -> None:
