@@ -12,7 +12,7 @@ from gpom_core.rows import NONE, Rows, cell_key, find_or_add
 from gpom_core.tiles import FREE, HIT, TILE_AREA, Tiles, open_from
 from gpom_core.walk import WINDOW_TILES, Crossed, span, walk
 
-CONTRADICTED = 8.0  # what fades is a few of an expert's places; alone it must make it dirty
+CONTRADICTED = 32.0  # what fades may be one of an expert's places; `news` looks at it closely
 
 
 @compiled

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import areas, beams, clusters, open_space, rows, tiles
+from gpom_core import areas, beams, clusters, news, open_space, rows, tiles
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.observations import Seen, Weighing, observe
@@ -134,12 +134,17 @@ class Evidence:
 
     def dirty(self) -> NDArray[np.int64]:
         """Clusters whose evidence changed since they were taken, most changed first."""
-        n = int(self.clusters.size[0])
+        n, c = int(self.clusters.size[0]), self.config
         fresh, gain = self.clusters.fresh[:n], self.clusters.gain[:n]
         owned = self.clusters.rows[:n]
-        moved = (fresh > 0) | (gain > self.config.retrain_gain * owned)
+        suspects = np.flatnonzero((fresh == 0) & (gain > c.retrain_gain * owned))
+        if len(suspects):
+            news.judge(
+                suspects, self.rows, self.tiles, self.clusters, c.cell_m, c.hit_cap, c.free_cap,
+                (c.free_noise_std / c.hit_noise_std) ** 2, c.retrain_gain,
+            )  # fmt: skip
         untrained = (self.clusters.revision[:n] == 0) & (owned > 0)
-        changed = np.flatnonzero(moved | untrained)
+        changed = np.flatnonzero((fresh > 0) | untrained)
         return changed[np.argsort(-(fresh + gain)[changed], kind="stable")]
 
     def refresh(self) -> None:

@@ -52,6 +52,7 @@ _SHAPES: dict[str, tuple[str, tuple[int, ...]]] = {
     "row_kind": ("uint8", (_ANY,)),
     "row_geometry": ("float64", (_ANY, 2, 2)),
     "row_count": ("float64", (_ANY,)),
+    "row_learned": ("float64", (_ANY,)),
     "row_crossed": ("uint8", (_ANY,)),
     "row_near": ("float64", (_ANY,)),
     "row_owner": ("int32", (_ANY,)),
@@ -98,19 +99,13 @@ def dump(mapper: Mapper) -> dict[str, NDArray[np.generic]]:
     for cluster in mapper._training:
         fresh[cluster] = max(fresh[cluster], 1)
     snapshot = mapper.snapshot()
+    counters = (
+        mapper.scan_count, mapper._telling, mapper._telling_then,
+        mapper._calibrated, mapper._uncalibrated, snapshot.version,
+    )  # fmt: skip
     return {
         "version": np.array(VERSION, np.int64),
-        "counters": np.array(
-            [
-                mapper.scan_count,
-                mapper._telling,
-                mapper._telling_then,
-                mapper._calibrated,
-                mapper._uncalibrated,
-                snapshot.version,
-            ],
-            np.int64,
-        ),
+        "counters": np.array(counters, np.int64),
         "link": np.array(snapshot.link.weights),
         **_dump_scans(mapper.kept_scans),
         "gone": np.array(sorted(mapper._gone), np.int64),
@@ -118,6 +113,7 @@ def dump(mapper: Mapper) -> dict[str, NDArray[np.generic]]:
         "row_kind": rows.kind[:r].copy(),
         "row_geometry": rows.geometry[:r].copy(),
         "row_count": rows.count[:r].copy(),
+        "row_learned": rows.learned[:r].copy(),
         "row_crossed": rows.crossed[:r].copy(),
         "row_near": rows.near[:r].copy(),
         "row_owner": rows.owner[:r].copy(),
@@ -308,7 +304,7 @@ def _load_rows(arrays: Image, config: MapConfig) -> Rows:
     _places(arrays["row_geometry"], config, "row_geometry")
     _require(bool((arrays["row_count"] >= 0).all()), "row_count is negative")  # type: ignore[operator]
     rows = row_room.new_rows(max(4096, used))
-    names = ("keys", "kind", "geometry", "count", "crossed", "near", "owner")
+    names = ("keys", "kind", "geometry", "count", "learned", "crossed", "near", "owner")
     _fill(rows, arrays, "row", names, used)
     rows.size[0] = used
     row_room._index(rows, used)

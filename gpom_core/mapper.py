@@ -28,6 +28,8 @@ TrainedExpert = Member
 CALIBRATE_AFTER = 4.0  # times the map was trained anew since the last calibration, which costs two
 USUAL_COUNT = 5.0  # traversals of a cell, at which an expert has the configured length scale
 LENGTH_SCALE_POWER = 0.2
+HEADROOM = 0.85  # of the limit of observations, where an expert grows
+GROWTH = 0.15  # since its last training; a new surface makes areas around it fine
 LENGTH_SCALE_RANGE = (0.85, 1.6)
 MOSTLY = 0.5
 LINK_TOLERANCE = 0.003  # of a probability; a smaller change is not worth a new picture
@@ -199,7 +201,7 @@ class Mapper:
             if len(observations) == 0:
                 self._gone.add(cluster)
                 continue
-            if len(observations) > self.config.max_observations:
+            if len(observations) > self._size_limit(cluster, len(observations)):
                 halves = self._evidence.split(cluster, by_hits=False)
                 if halves:
                     self._splits.append((cluster, halves[1]))
@@ -220,6 +222,16 @@ class Mapper:
                 )
             )
         return jobs
+
+    def _size_limit(self, cluster: int, size: int) -> float:
+        """Of an expert's observations; those that grow are split before.
+
+        So there is room for the odd cell that noise finds: a robot that is parked splits none.
+        """
+        member = self._snapshot.members.get(cluster)
+        before = 0 if member is None else len(member.expert.observations)
+        grows = size > (1.0 + GROWTH) * before
+        return self.config.max_observations * (HEADROOM if grows else 1.0)
 
     def take_splits(self) -> list[tuple[int, int]]:
         """Clusters that `take_jobs` halved since last asked, with their new halves, in order."""

@@ -93,6 +93,8 @@ class Seen(NamedTuple):
 def observe(rows: Rows, clusters: Clusters, c: int, weighing: Weighing) -> Seen:
     """What cluster `c` is trained on, in one piece: free areas merged where no surface is near.
 
+    Its rows note that they were learned as they are.
+
     Observations are in the order of their places, whatever order they came in.
     """
     n = int(clusters.rows[c])
@@ -102,6 +104,7 @@ def observe(rows: Rows, clusters: Clusters, c: int, weighing: Weighing) -> Seen:
     row, used, areas = int(clusters.head[c]), 0, 0
     for _ in range(n):
         crossed = int(rows.crossed[row])
+        rows.learned[row] = rows.count[row]
         if rows.kind[row] == BOX and crossed % TILE_AREA == 0:  # a cell, or all of a tile
             box_key[areas], box_count[areas] = rows.keys[row, 0], rows.count[row]
             box_near[areas], whole[areas] = rows.near[row], crossed > 0

@@ -30,6 +30,7 @@ class Rows(NamedTuple):
         kind: (r,) kind of observation.
         geometry: (r, 2, 2) metres in the map frame, see `gpom_core.kernels`.
         count: (r,) how many observations were merged; its weight in training is capped.
+        learned: (r,) the count that its expert was last trained with.
         crossed: (r,) cells that were crossed of a free area that stands for a whole tile; else 0.
         near: (r,) distance to the nearest hit, metres; inf beyond `near_surface_m`.
         owner: (r,) cluster number.
@@ -42,6 +43,7 @@ class Rows(NamedTuple):
     kind: NDArray[np.uint8]
     geometry: NDArray[np.float64]
     count: NDArray[np.float64]  # type: ignore[assignment] # nobody counts values of this tuple
+    learned: NDArray[np.float64]
     crossed: NDArray[np.uint8]
     near: NDArray[np.float64]
     owner: NDArray[np.int32]
@@ -58,6 +60,7 @@ def new_rows(capacity: int = 4096) -> Rows:
         kind=np.zeros(capacity, np.uint8),
         geometry=np.zeros((capacity, 2, 2)),
         count=np.zeros(capacity),
+        learned=np.zeros(capacity),
         crossed=np.zeros(capacity, np.uint8),
         near=np.zeros(capacity),
         owner=np.full(capacity, NONE, np.int32),

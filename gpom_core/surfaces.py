@@ -50,7 +50,8 @@ def absorb_hits(
 ) -> int:
     """Merge hits (n, 2) into their cells; new cells go to the clusters in `homes` (n,).
 
-    A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it.
+    A hit in a cell that is known stays with that cell's cluster, and `homes` is changed to it. New
+    cells of the same run go to the cluster of the nearest known one.
     Free areas nearer to a new surface than to any other follow its cluster. `hit_weight` says how
     many traversals weigh as much as one hit.
     The caller has made room for n rows and n tiles. Returns the number of new rows.
@@ -67,6 +68,7 @@ def absorb_hits(
         fresh += found[i] == NONE
     before = rows.size[0]
     if fresh > 0:
+        _join_neighbours(xy, found, rows.owner, homes)
         for i in range(n):
             if found[i] == NONE:
                 found[i], new = find_or_add(slots, places, rows.size, keys[i], 0)
@@ -94,6 +96,42 @@ def absorb_hits(
             against = 0.0 if area == NONE else min(count[area], free_cap) / hit_weight
             gain[homes[i]] += shift(known, 1.0, against)
     return int(rows.size[0] - before)
+
+
+@compiled
+def _join_neighbours(
+    xy: NDArray[np.float64],
+    found: NDArray[np.int32],
+    owner: NDArray[np.int32],
+    homes: NDArray[np.int32],
+) -> None:
+    """Send new hits of a run home with the nearest hit that is known; `homes` tells runs apart.
+
+    A long wall has many clusters, and a run along it belongs to one: cells that noise finds
+    metres away from that would make it longer than allowed, again and again.
+    """
+    n = len(xy)
+    before = np.full(n, NONE, np.int64)
+    for i in range(n):
+        if found[i] != NONE:
+            before[i] = i
+        elif i > 0 and homes[i] == homes[i - 1]:
+            before[i] = before[i - 1]
+    after, run = int(NONE), int(NONE)
+    for i in range(n - 1, -1, -1):
+        if homes[i] != run:
+            after, run = int(NONE), int(homes[i])
+        if found[i] != NONE:
+            after = i
+            continue
+        best, nearest = int(NONE), np.inf
+        for k in (before[i], after):
+            if k != NONE:
+                square = (xy[k, 0] - xy[i, 0]) ** 2 + (xy[k, 1] - xy[i, 1]) ** 2
+                if square < nearest:
+                    best, nearest = k, square
+        if best != NONE:
+            homes[i] = owner[found[best]]
 
 
 @compiled

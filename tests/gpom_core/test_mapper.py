@@ -304,7 +304,24 @@ def test_a_parked_robot_trains_less_than_one_expert_a_scan_after_its_first_secon
         jobs = mapper.take_jobs(ALL)
         mapper.swap([job.run() for job in jobs])
         trainings += len(jobs)
-    assert trainings < 290  # noise finds new cells; the rest of 49 experts stays as it is
+    assert trainings < 290  # noise finds new cells; the rest of the experts stays as it is
+
+
+def test_a_robot_parked_by_a_long_wall_adds_no_expert_after_its_first_second() -> None:
+    wall = [((-12.0, 3.03), (12.0, 3.03))]
+    mapper = Mapper()
+    for i in range(10):
+        mapper.update(look(0.3, 0.2, walls=wall, beams=720, noise=0.01, seed=i, range_max=14.0))
+    mapper.train()
+    experts, trainings = mapper.expert_count, 0
+    for i in range(10, 150):
+        mapper.update(look(0.3, 0.2, walls=wall, beams=720, noise=0.01, seed=i, range_max=14.0))
+        jobs = mapper.take_jobs(ALL)
+        mapper.swap([job.run() for job in jobs])
+        trainings += len(jobs)
+    assert experts > 8  # the wall is one run of hits, but not one cluster
+    assert mapper.expert_count == experts
+    assert trainings < 140
 
 
 def test_what_is_gone_fades_though_every_place_was_known_before() -> None:
