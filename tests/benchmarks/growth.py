@@ -3,7 +3,6 @@
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -77,12 +76,8 @@ def megabytes(mapper: Mapper) -> float:
         total += share * sum(array.nbytes for array in part)
     for member in mapper.snapshot().members.values():
         o = member.expert.observations
-        arrays = chain(
-            (o.kinds, o.geometry, o.targets, o.noise_variance, o.count),
-            (member.expert.weights, member.expert.precision),
-            member.reach, member.sides,
-        )  # fmt: skip
-        total += sum(array.nbytes for array in arrays)
+        unread = (o.targets, o.noise_variance, o.count)
+        total += member.size_bytes + sum(array.nbytes for array in unread)
     return total / 1e6
 
 
