@@ -154,7 +154,8 @@ def ready() -> Call[bool]:
 def to_error(response: httpx.Response) -> MapServiceError:
     """Make the error of an answer that is no success, from its problem details (RFC 9457)."""
     status_code = response.status_code
-    kind = MapUnavailableError if status_code >= 500 else MapRequestError
+    later = status_code >= 500 or status_code == httpx.codes.TOO_MANY_REQUESTS
+    kind = MapUnavailableError if later else MapRequestError
     try:
         problem = response.json()
         title, detail = str(problem["title"]), str(problem.get("detail") or "")

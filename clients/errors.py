@@ -9,7 +9,7 @@ GpomError
 │   └── SupersededError         another publisher has taken over this robot's name
 └── MapServiceError             the map's HTTP interface gave no answer that can be used
     ├── MapRequestError         4xx: the question is refused as asked
-    ├── MapUnavailableError     5xx: the service cannot answer now
+    ├── MapUnavailableError     5xx, 429: the service cannot answer now
     ├── MapProtocolError        whatever answers is not a map service of this version
     └── MapUnreachableError     no answer at all: refused, wrong address, connection lost
         └── MapTimeoutError     no answer in time

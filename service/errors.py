@@ -2,6 +2,7 @@
 
 GpomError
 ├── BusyError              more work than the service takes on at once; come back later
+├── ExcessError            more at once than one client may ask; come back later
 ├── ForbiddenError         the token of the request does not allow this
 ├── FlushTimeoutError      not everything received was integrated and trained in time
 ├── JournalError           scans could not be stored, so they were not accepted
@@ -29,6 +30,20 @@ class BusyError(GpomError):
 
     def __init__(self, message: str, retry_after_s: int = 1) -> None:
         super().__init__(message)
+        self.retry_after_s = retry_after_s
+
+
+class ExcessError(GpomError):
+    """More at once than one client may ask, however idle the service is.
+
+    Attributes:
+        allowed: how much it may.
+        retry_after_s: when to try again.
+    """
+
+    def __init__(self, message: str, allowed: int, retry_after_s: int = 1) -> None:
+        super().__init__(message)
+        self.allowed = allowed
         self.retry_after_s = retry_after_s
 
 

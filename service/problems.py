@@ -18,6 +18,7 @@ from gpom_core.expert import TrainingError
 from gpom_core.image import InvalidImageError
 from service.errors import (
     BusyError,
+    ExcessError,
     FlushTimeoutError,
     ForbiddenError,
     JournalError,
@@ -45,6 +46,7 @@ KINDS: dict[type[GpomError], Kind] = {
     GpomError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "The service failed"),
     BusyError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "busy", "Too much at once"),
     ConfigurationError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "configuration", "Bad settings"),
+    ExcessError: Kind(HTTPStatus.TOO_MANY_REQUESTS, "excess", "Too much from one client"),
     FlushTimeoutError: Kind(HTTPStatus.GATEWAY_TIMEOUT, "flush-timeout", "Not done in time"),
     ForbiddenError: Kind(HTTPStatus.FORBIDDEN, "forbidden", "Not allowed"),
     UnauthorizedError: Kind(HTTPStatus.UNAUTHORIZED, "unauthorized", "Token needed"),
@@ -109,6 +111,9 @@ def problem_of(error: BaseException) -> Problem:
     kind = next(KINDS[cls] for cls in type(error).__mro__ if cls in KINDS)
     if isinstance(error, BusyError):
         return Problem(kind, str(error), headers={"Retry-After": str(error.retry_after_s)})
+    if isinstance(error, ExcessError):
+        retry = {"Retry-After": str(error.retry_after_s)}
+        return Problem(kind, str(error), {"allowed": error.allowed}, retry)
     if isinstance(error, UnauthorizedError):
         return Problem(kind, str(error), headers={"WWW-Authenticate": "Bearer"})
     if isinstance(error, NotReadyError):

@@ -71,9 +71,15 @@ class HttpSettings(_Section):
     grid_cache_bytes_max: int = Field(
         32 * 2**20, ge=0, description="memory for rasters that may be asked for again"
     )
-    retry_after_s: int = Field(1, ge=1, description="what a 503 tells the client to wait")
+    retry_after_s: int = Field(1, ge=1, description="what a 503 or 429 tells the client to wait")
+    client_requests_max: int = Field(
+        32, ge=1, description="requests of one address answered at once, flushes too; then 429"
+    )
     flush_timeout_max_s: float = Field(600.0, gt=0.0, description="longest wait of one flush")
     event_clients_max: int = Field(64, ge=1, description="open event streams; then 503")
+    client_streams_max: int = Field(
+        32, ge=1, description="open event streams of one address; then 429"
+    )
     event_keepalive_s: float = Field(2.0, gt=0.0, description="a silent stream says so this often")
 
 

@@ -23,6 +23,7 @@ from service.http import (
 from service.http.guard import Guard
 from service.http.head import Head
 from service.http.observe import Observe
+from service.http.shares import Shares
 from service.map_service import MapService, Ports
 from service.ros.gateway import RosGateway
 from service.ros.map_out import MapPublisher
@@ -59,6 +60,7 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     )
     app.state.service = service
     app.add_middleware(Head)
+    app.add_middleware(Shares, http=settings.http)
     app.add_middleware(Observe, metrics=service.metrics)
     app.add_middleware(Guard, access=settings.access)
     errors.install(app)

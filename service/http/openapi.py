@@ -18,7 +18,8 @@ place, at any resolution.
 * Every answer carries the **map version** it was made from, in its body or in the header
   `X-Gpom-Map-Version`. The version grows whenever something was learnt.
 * Errors are problem details (RFC 9457): `title` says what, `detail` what to do about it. 503 with
-  `Retry-After` means: the same again, a little later.
+  `Retry-After` means: the same again, a little later. 429 means that you have more open at once
+  than one client may (`allowed`): wait for answers first.
 * Where the service has tokens, send one as `Authorization: Bearer TOKEN`.
 
 The live map for people is at [/](./), and the same questions can be asked over zenoh.
