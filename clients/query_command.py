@@ -120,11 +120,14 @@ def read_points(path: Path) -> NDArray[np.float64]:
 
 
 def _read_csv(path: Path) -> NDArray[np.float64]:
-    with path.open(newline="", encoding="utf-8") as lines:
+    # Spreadsheets put a byte order mark in front.
+    with path.open(newline="", encoding="utf-8-sig") as lines:
         rows = [row for row in csv.reader(lines) if row]
     columns = (0, 1)
     if rows and not _is_number(rows[0][0]):
         names = [name.strip().lower() for name in rows.pop(0)]
+        if not {"x", "y"} <= set(names):
+            raise ValueError(f"its columns are {', '.join(names)}")
         columns = (names.index("x"), names.index("y"))
     for number, row in enumerate(rows, 1):
         if len(row) <= max(columns):
@@ -141,7 +144,9 @@ def _is_number(text: str) -> bool:
 
 
 def _number(name: str, text: str | None) -> float:
-    if text is None or not _is_number(text):
+    if text is None:
+        raise ConfigurationError(f"{name} is missing; expected X and Y in metres")
+    if not _is_number(text):
         message = f"{name} is {text!r}; expected a number of metres"
         raise ConfigurationError(message)
     return float(text)

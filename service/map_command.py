@@ -8,6 +8,7 @@ import typer
 app = typer.Typer(
     help="The whole map as one file, out of a data directory and into another.",
     no_args_is_help=True,
+    add_completion=False,
 )
 
 _DataDir = Annotated[Path, typer.Option(help="that of `gpom serve`, which must not run")]

@@ -1,8 +1,10 @@
 // What is seen, in the address after #, so that it can be shared: place, zoom, layer and the rest.
 
+const FAR_M = 1e8; // metres count exactly up to there, and no site is farther
+
 const numbers = (text, count) => {
   const values = (text ?? "").split(",").map(Number);
-  return values.length === count && values.every(Number.isFinite) && text ? values : null;
+  return values.length === count && values.every((value) => Math.abs(value) <= FAR_M) && text ? values : null;
 };
 
 export function readAddress() {

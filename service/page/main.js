@@ -46,7 +46,7 @@ let refusal = "";
 async function paint() {
   document.documentElement.dataset.theme = theme();
   document.body.classList.toggle("bare", state.bare);
-  pressed(state, profile.armed);
+  pressed(state, profile.armed || Boolean(profile.ends));
   grid.show(state.show.has("grid"));
   robots.show(state.show.has("robots"));
   clusters.show(state.show.has("clusters"));
@@ -115,7 +115,7 @@ const actions = {
   zoomout: () => map.zoomOut(),
   fit: async () => {
     follow(null);
-    fit((await getJson("v1/status")).bounds);
+    fit((await getJson("v1/status").catch(() => counts))?.bounds);
   },
   line: () => {
     if (profile.armed || profile.ends) profile.clear();
@@ -246,6 +246,9 @@ map.on("click", ({ latlng: { lng, lat } }) => {
   readout.look(lng, lat);
   readout.pin([lng, lat]);
 });
+
+// Somebody's address, pasted over ours; what we write there ourselves is no such event.
+window.addEventListener("hashchange", () => location.reload());
 
 bindControls(actions);
 paint();

@@ -62,8 +62,9 @@ export const LiveTiles = L.GridLayer.extend({
   },
 
   _work() {
-    let tile;
-    while (this._busy < AT_ONCE && (tile = this._nearest())) {
+    while (this._busy < AT_ONCE) {
+      const tile = this._nearest(); // a name for each turn: what fails must know which one it was
+      if (!tile) return;
       const { live } = tile;
       this._waiting.delete(tile);
       this._busy += 1;

@@ -141,6 +141,9 @@ def test_a_lost_connection_shows_and_recovers(page: Chromium, site: Site) -> Non
     site.stop()
     page.wait("document.querySelector('#link').dataset.state === 'lost'")
     assert page.evaluate(INK) > 10_000  # what was seen stays
+    page.key("f")
+    page.key("2")  # tiles that cannot come now, and are asked for again
+    page.wait("Object.values(gpom.tiles._tiles).every(({ el }) => el.live.tries > 0)")
 
     site.start()
     site.scan(0.0, 0.0, 1)
@@ -214,6 +217,23 @@ def test_an_address_leads_back_to_what_was_seen(page: Chromium, site: Site) -> N
     )
 
 
+def test_an_address_that_is_pasted_over_the_present_one_is_gone_to(
+    page: Chromium, site: Site
+) -> None:
+    show(page, site, "view=0,0,6")
+    page.evaluate("location.hash = 'view=1.5,0.25,5&layer=variance'")
+
+    page.wait("window.gpom?.state.layer === 'variance' && gpom.map.getZoom() === 5")
+    page.wait("Math.abs(gpom.map.getCenter().lng - 1.5) < 0.01")
+
+
+def test_a_place_that_no_site_reaches_is_left_out_of_an_address(page: Chromium, site: Site) -> None:
+    show(page, site, "view=1e308,0,3&pin=1e300,2")
+
+    page.wait("Math.abs(gpom.map.getCenter().lng) < 100")
+    assert not page.evaluate("document.querySelector('.pin')")
+
+
 def test_a_drawn_line_reads_occupancy_along_it(page: Chromium, site: Site) -> None:
     show(page, site, "view=0,0,6")
     page.key("l")
@@ -221,6 +241,9 @@ def test_a_drawn_line_reads_occupancy_along_it(page: Chromium, site: Site) -> No
     page.click(500, 400)
     page.click(900, 400)
     page.wait("document.querySelector('#plot path.line')")
+    page.key("t")  # paints all buttons anew
+    page.wait("document.documentElement.dataset.theme === 'light'")
+    assert page.evaluate("document.querySelector('[data-act=line]').ariaPressed") == "true"
 
     ends = json.loads("[" + page.wait("location.hash.match(/line=([^&]+)/)?.[1]") + "]")
     assert ends == [-1.563, 0.0, 4.688, 0.0]

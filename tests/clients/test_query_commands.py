@@ -29,10 +29,11 @@ def test_one_point_may_be_negative(fake, capsys):
 
 
 @pytest.mark.parametrize(
-    "text", ["1,2\n-3,4\n", "x,y\n1,2\n-3,4\n", "name, y ,X\na,2,1\nb,4,-3\n\n"]
+    "text",
+    ["1,2\n-3,4\n", "x,y\n1,2\n-3,4\n", "name, y ,X\na,2,1\nb,4,-3\n\n", "\ufeffx,y\n1,2\n-3,4\n"],
 )
 def test_points_of_a_csv_print_as_csv(fake, tmp_path, capsys, text):
-    (tmp_path / "points.csv").write_text(text)
+    (tmp_path / "points.csv").write_text(text, encoding="utf-8")
     assert run(["query", "--points", str(tmp_path / "points.csv"), "--url", fake.url]) == 0
     shown = capsys.readouterr()
     rows = list(csv.DictReader(shown.out.splitlines()))
@@ -66,7 +67,7 @@ def test_answers_go_to_a_csv_file(fake, tmp_path, capsys):
     ("name", "content", "message"),
     [
         ("a.csv", b"1\n2\n", "row 1 has 1 columns"),
-        ("a.csv", b"x,z\n1,2\n", "no points"),
+        ("a.csv", b"x,z\n1,2\n", "its columns are x, z"),
         ("a.csv", b"1,b\n", "no points"),
         ("a.npy", b"junk", "no points"),
         ("a.npy", b"", "no points"),
