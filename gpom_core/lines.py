@@ -44,10 +44,12 @@ def principal_axis(m: NDArray[np.float64]) -> tuple[float, float, float, float, 
     root = np.sqrt(diff * diff + xy * xy)
     # cosine and sine of half the angle of (diff, xy), each from the larger of them
     tx, ty = 1.0, 0.0
+    if root < 1e-150:  # m²: squares of that are no longer numbers
+        return cx, cy, tx, ty, half + root, max(half - root, 0.0)
     if diff > 0.0:
         tx = np.sqrt(0.5 + 0.5 * diff / root)
         ty = 0.5 * xy / (root * tx)
-    elif root > 0.0:
+    else:
         ty = np.sqrt(0.5 - 0.5 * diff / root) * (1.0 if xy >= 0.0 else -1.0)
         tx = 0.5 * xy / (root * ty)
     return cx, cy, tx, ty, half + root, max(half - root, 0.0)

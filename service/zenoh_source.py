@@ -7,6 +7,7 @@ the sample silently: so `close` is always called, and every callback catches eve
 import json
 import logging
 import struct
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, TypeVar
 
@@ -25,6 +26,7 @@ SERVICE_CHUNK = "_map"  # stands where robots have their name, and is no robot
 
 _CURSOR = struct.Struct("<QQ")  # boot, seq
 _WILD = frozenset("*$")
+_CLOSE_S = 5.0
 
 _T = TypeVar("_T")
 
@@ -95,7 +97,7 @@ class ZenohSource:
         session, self._session = self._session, None
         self._held = []
         if session is not None:
-            session.close()  # type: ignore[no-untyped-call]
+            _close(session)
 
     def trouble(self) -> str | None:
         """Say when the session is closed, or has lost all it should be connected to."""
@@ -246,3 +248,16 @@ def _locators(session: zenoh.Session) -> tuple[str, ...]:
         if reply.ok is not None:
             return tuple(json.loads(reply.ok.payload.to_bytes())["locators"])
     return ()
+
+
+def _close(session: zenoh.Session) -> None:
+    end_s = time.monotonic() + _CLOSE_S
+    while True:
+        try:
+            session.close()  # type: ignore[no-untyped-call]
+        except RuntimeError:  # a callback is using it: zenoh says that it is borrowed
+            if time.monotonic() > end_s:
+                raise
+            time.sleep(0.01)
+        else:
+            return

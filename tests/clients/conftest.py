@@ -108,15 +108,28 @@ class FakeMap:
             query.reply(query.key_expr, b"" if cursor is None else struct.pack("<QQ", *cursor))
 
 
+def close(session: zenoh.Session) -> None:
+    """Close a session whose callbacks may be using it, which zenoh refuses at that moment."""
+    for _ in range(500):
+        try:
+            return session.close()
+        except RuntimeError:
+            time.sleep(0.01)
+    raise TimeoutError
+
+
 @contextmanager
 def running_map(endpoint: str = "tcp/127.0.0.1:0", *, silent: bool = False) -> Iterator[FakeMap]:
-    with zenoh.open(router_config(endpoint)) as session:
+    session = zenoh.open(router_config(endpoint))
+    try:
         fake = FakeMap(session)
         if not silent:
             fake.subscribe()
             fake.appear()
         yield fake
         fake.vanish()
+    finally:
+        close(session)
 
 
 @pytest.fixture
