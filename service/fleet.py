@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from math import remainder, tau
 
 from gpom_core.scan import Pose2D
 
@@ -93,7 +94,8 @@ class Fleet:
                 scans=before.scans + 1,
                 lost=before.lost + lost,
                 last_seen_unix_s=unix_s,
-                pose=pose,
+                # Wheel odometry often counts its turns; headings are from -π to π for all.
+                pose=pose._replace(yaw_rad=remainder(pose.yaw_rad, tau)),
             )
             return now if before.scans == 0 else None
 

@@ -27,5 +27,7 @@ done
   echo "GPOM_ACCESS__READ_TOKENS=$token" > map.env
   echo "proxy_set_header Authorization \"Bearer $token\";" > token.conf
 }
+# The same token for Prometheus: GPOM_METRICS_TOKEN=./tls/metrics.token with compose.monitoring.yaml.
+sed -n 's/^GPOM_ACCESS__READ_TOKENS=//p' map.env | tr -d '\n' > metrics.token
 # The services run as users without a name here; ca.key stays with whoever made it.
-chmod 644 ./*.pem token.conf router.key map.key proxy.key
+chmod 644 ./*.pem token.conf metrics.token router.key map.key proxy.key

@@ -43,7 +43,8 @@ class Robot(BaseModel):
         description="Unix time in s of its last scan", examples=[1767225600.1]
     )
     pose: tuple[float, float, float] | None = Field(
-        description="x m, y m, yaw rad of the sensor at its last scan", examples=[[1.0, 2.0, 0.5]]
+        description="x m, y m, yaw rad (-π to π) of the sensor at its last scan",
+        examples=[[1.0, 2.0, 0.5]],
     )
     alive: bool = Field(description="whether its liveliness token is up", examples=[True])
     intake: Intake | None = Field(description="null unless its scans come without a pose")

@@ -135,6 +135,10 @@ const actions = {
     const open = byId("menu").classList.toggle("open");
     byId("more").setAttribute("aria-expanded", String(open));
   },
+  less: () => {
+    byId("menu").classList.remove("open");
+    byId("more").setAttribute("aria-expanded", "false");
+  },
   help: () => byId("help").showModal(),
   layer: (name) => {
     state.layer = name;
@@ -251,6 +255,10 @@ map.on("click", ({ latlng: { lng, lat } }) => {
 window.addEventListener("hashchange", () => location.reload());
 
 bindControls(actions);
+byId("menu").addEventListener("click", ({ target }) => {
+  // On a phone it covers the map that these are about.
+  if (["line", "bare", "help"].includes(target.dataset.act)) actions.less();
+});
 paint();
 if (wanted.pin) readout.pin(wanted.pin);
 if (wanted.line) profile.set(wanted.line);

@@ -307,6 +307,8 @@ def test_a_phone_has_all_of_it(page: Chromium, site: Site) -> None:
     page.wait("document.querySelector('#value').textContent.includes('variance')")
     page.evaluate("document.querySelector('#more').click()")
     assert page.evaluate("document.querySelector('[data-act=clusters]').offsetHeight") >= 42
+    page.evaluate("document.querySelector('#menu [data-act=line]').click()")
+    assert not page.evaluate("document.querySelector('#menu').classList.contains('open')")
 
 
 def test_scans_get_into_the_map_while_a_screen_of_tiles_is_drawn(site: Site) -> None:

@@ -55,12 +55,26 @@ production() {
   ! robot liar robot-1 || bad "a robot can speak under another name"
   ! grep -q liar <<< "$(seen)" || bad "a robot can speak under another name"
   ok "production: a robot with its certificate is heard, under its own name only"
+
+  prometheus_image
+  export GPOM_METRICS_TOKEN=$GPOM_TLS/metrics.token
+  compose+=(-f docker/compose.monitoring.yaml)
+  "${compose[@]}" up -d --no-build prometheus > "$work/up.log" 2>&1 || { cat "$work/up.log"; bad "no Prometheus beside production"; }
+  sees() { curl -s -m 5 "http://127.0.0.1:$GPOM_PROMETHEUS_PORT/api/v1/query?query=up" | field "['data']['result'][0]['value'][1]" 2> /dev/null; }
+  for _ in $(seq 60); do [ "$(sees)" = 1 ] && break; sleep 1; done
+  [ "$(sees)" = 1 ] || bad "Prometheus is not let in by a service with tokens"
+  ok "production: Prometheus is let in by its token"
   "${compose[@]}" down -v -t 10 > /dev/null 2>&1
+  unset GPOM_METRICS_TOKEN
+}
+
+prometheus_image() {
+  stand_in "$(image_of prom/prometheus)" \
+    'RUN mkdir /prometheus && chown 65534 /prometheus\nUSER 65534\nENTRYPOINT ["prometheus"]'
 }
 
 monitoring() {
-  stand_in "$(image_of prom/prometheus)" \
-    'RUN mkdir /prometheus && chown 65534 /prometheus\nUSER 65534\nENTRYPOINT ["prometheus"]'
+  prometheus_image
   compose=(docker-compose -f docker/compose.yaml -f docker/compose.monitoring.yaml --profile demo)
   "${compose[@]}" up -d --no-build --wait --wait-timeout 400 map robots prometheus \
     > "$work/up.log" 2>&1 || { cat "$work/up.log"; bad "monitoring does not become healthy"; }

@@ -89,4 +89,7 @@ def test_certificates_are_made_for_each_robot(tmp_path: Path) -> None:
         check = ["openssl", "verify", "-CAfile", tmp_path / "ca.pem", tmp_path / f"{name}.pem"]
         subprocess.run(check, check=True, capture_output=True, timeout=60)
     assert (tmp_path / "ca.key").stat().st_mode & 0o077 == 0
-    assert "Bearer" in (tmp_path / "token.conf").read_text()
+    token = (tmp_path / "metrics.token").read_text()
+    assert re.fullmatch("[0-9a-f]{48}", token)
+    assert f"Bearer {token}" in (tmp_path / "token.conf").read_text()
+    assert f"READ_TOKENS={token}\n" in (tmp_path / "map.env").read_text()

@@ -1,3 +1,7 @@
+from math import tau
+
+import pytest
+
 from gpom_core.scan import Pose2D
 from service.fleet import Fleet, RobotStatus
 
@@ -11,6 +15,12 @@ def test_scans_add_up() -> None:
     fleet.saw_scan("a", POSE, 0, 99.0)
     assert [robot.id for robot in fleet.robots()] == ["a", "b"]
     assert fleet.robots()[1] == RobotStatus("b", 2, 3, 101.0, POSE, alive=False)
+
+
+def test_headings_are_within_half_a_turn() -> None:
+    fleet = Fleet(10)
+    fleet.saw_scan("a", Pose2D(1.0, 2.0, 31.4), 0, 1.0)
+    assert fleet.robots()[0].pose == pytest.approx((1.0, 2.0, 31.4 - 5 * tau))
 
 
 def test_refusals_add_up_by_reason_for_robots_that_are_known() -> None:
