@@ -17,7 +17,7 @@ def main(folder: Path) -> None:
     variants = [
         scan,
         replace(scan, ranges_m=few),
-        replace(scan, ranges_m=few, intensities=np.zeros(5, np.float32), reliable=True, seq=2**63),
+        replace(scan, ranges_m=few, intensities=np.zeros(5, np.float32), reliable=True, seq=2**47),
         replace(scan, ranges_m=few[:1], angle_increment_rad=-0.1),
     ]
     for number, variant in enumerate(variants):
