@@ -109,7 +109,7 @@ class MapService:
     def _new_pool(self) -> ThreadPoolExecutor:
         """Workers for training, in place of those there were."""
         if self._pool is not None:
-            self._pool.shutdown(wait=False)
+            self._pool.shutdown(wait=False, cancel_futures=True)
         workers = self.settings.training.workers
         self._pool = ThreadPoolExecutor(
             workers, "gpom-train", initializer=be_nice, initargs=(_TRAINING_NICE,)

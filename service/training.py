@@ -100,7 +100,7 @@ class Training:
         self._renew = renew
         self._chunks: set[_Chunk] = set()
         # Filled by the pool, emptied by the owner.
-        self._finished: deque[tuple[_Chunk, list[_Outcome]]] = deque()
+        self._finished: deque[tuple[_Chunk, list[_Outcome] | None]] = deque()
         self._turn = 0
         self._in_pool: dict[int, int] = {}  # cluster -> turn
         self._trained: list[TrainedExpert] = []
@@ -256,11 +256,10 @@ class Training:
         return max(1, min(per_worker, _JOBS_MAX_PER_WORKER)) * self._workers
 
     def _finish(self, chunk: _Chunk, future: "Future[list[_Outcome]]") -> None:
-        # Runs in a thread of the pool. Cancelled: the service is stopping.
+        # Runs in a thread of the pool. Cancelled: it waited behind a worker that was written off.
         if future.cancelled():
-            return
-        error = future.exception()
-        if error is not None:  # the worker died
+            self._finished.append((chunk, None))
+        elif (error := future.exception()) is not None:  # the worker died
             self._finished.append((chunk, _all_failed(chunk.jobs, error)))
         else:
             self._finished.append((chunk, future.result()))
@@ -272,6 +271,11 @@ class Training:
             if chunk.abandoned:
                 continue
             self._chunks.discard(chunk)
+            if outcomes is None:
+                for job in chunk.jobs:
+                    self._in_pool.pop(job.cluster_id)
+                    self._mapper.fail(job)
+                continue
             for outcome in outcomes:
                 turn = self._in_pool.pop(outcome.job.cluster_id)
                 if outcome.trained is None:

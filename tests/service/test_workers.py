@@ -4,6 +4,8 @@ import threading
 import time
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 
+import pytest
+
 from gpom_core.config import MapConfig
 from gpom_core.link import Link
 from gpom_core.mapper import CalibrationJob, Mapper, TrainingJob
@@ -12,6 +14,7 @@ from service.map_service import MapService, Ports
 from service.metrics import Metrics
 from service.settings import Settings, TrainingSettings
 from service.training import Training
+from tests.service.conftest import COMPILE_S
 from tests.service.rooms import payload_at, scan_at
 
 
@@ -60,64 +63,93 @@ def test_dead_workers_are_replaced_and_their_jobs_done_again() -> None:
     renewed[-1].shutdown()
 
 
-def test_a_calibration_that_hangs_is_given_up_and_nobody_waits_for_it(
-    source, eventually, monkeypatch
-) -> None:
-    release = threading.Event()
+@pytest.fixture
+def started(source, eventually):
+    """Give services, started and ready, by their settings of training."""
+    services = []
 
-    def hang(job):
-        release.wait()
-        yield job.snapshot.link
+    def start(**training) -> MapService:
+        services.append(MapService(Settings(training=TrainingSettings(**training)), Ports(source)))
+        services[-1].start()
+        eventually(lambda: not services[-1].troubles(), COMPILE_S)
+        return services[-1]
 
-    settings = Settings(training=TrainingSettings(workers=1, job_timeout_s=1.0))
-    service = MapService(settings, Ports(source))
-    service.start()
-    try:
-        eventually(lambda: not service.troubles(), 100.0)
-        monkeypatch.setattr(CalibrationJob, "steps", hang)
-        source.put("robot", "front", payload_at())
-        service.flush().result(60.0)
-        failures = service.metrics.registry.get_sample_value("gpom_training_failures_total")
-        assert failures in (1.0, 2.0), "the one that was due, and the one of the flush"
-        monkeypatch.undo()
-        source.put("robot", "front", payload_at(1.0, 1.0, seq=2))
-        service.flush().result(60.0)
-        assert not service.state.dirty
-        assert service.state.snapshot.link != Link()
-    finally:
-        release.set()
+    yield start
+    for service in services:
         service.stop()
 
 
-def test_an_expert_that_hangs_is_set_aside_and_the_map_goes_on(
-    source, eventually, monkeypatch
-) -> None:
-    release = threading.Event()
+@pytest.fixture
+def release():
+    """What hangs, hangs until this is set."""
+    event = threading.Event()
+    yield event
+    event.set()
+
+
+def hang_one(monkeypatch, release) -> list[int]:
+    """Let the expert that is trained next hang from now on; its number, once that is so."""
     run, stuck = TrainingJob.run, []
 
-    def hang_one(job):
+    def hang(job):
         if not stuck:
             stuck.append(job.cluster_id)
         if job.cluster_id == stuck[0]:
             release.wait()
         return run(job)
 
-    settings = Settings(training=TrainingSettings(workers=2, job_timeout_s=1.0, attempts_max=2))
-    service = MapService(settings, Ports(source))
-    service.start()
-    try:
-        eventually(lambda: not service.troubles(), 100.0)
-        monkeypatch.setattr(TrainingJob, "run", hang_one)
-        source.put("robot", "front", payload_at())
-        service.flush().result(60.0)
-        (quarantined,) = service.state.quarantined
-        assert quarantined.cluster_id == stuck[0]
-        assert "did not end within 1 s" in quarantined.error
-        assert len(service.state.snapshot.members) == service.state.experts - 1
-        source.put("robot", "front", payload_at(1.0, 1.0, seq=2))
-        service.flush().result(60.0)
-        assert service.state.scans_integrated == 2
-        assert b"gpom_quarantined_experts 1" in service.metrics.exposition()
-    finally:
-        release.set()
-        service.stop()
+    monkeypatch.setattr(TrainingJob, "run", hang)
+    return stuck
+
+
+def test_a_calibration_that_hangs_is_given_up_and_nobody_waits_for_it(
+    started, release, source, monkeypatch
+) -> None:
+    def hang(job):
+        release.wait()
+        yield job.snapshot.link
+
+    service = started(workers=1, job_timeout_s=1.0)
+    monkeypatch.setattr(CalibrationJob, "steps", hang)
+    source.put("robot", "front", payload_at())
+    service.flush().result(60.0)
+    failures = service.metrics.registry.get_sample_value("gpom_training_failures_total")
+    assert failures in (1.0, 2.0), "the one that was due, and the one of the flush"
+    monkeypatch.undo()
+    source.put("robot", "front", payload_at(1.0, 1.0, seq=2))
+    service.flush().result(60.0)
+    assert not service.state.dirty
+    assert service.state.snapshot.link != Link()
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_an_expert_that_hangs_is_set_aside_and_the_map_goes_on(
+    started, release, source, monkeypatch, workers
+) -> None:
+    service = started(workers=workers, job_timeout_s=1.0, attempts_max=2)
+    stuck = hang_one(monkeypatch, release)
+    source.put("robot", "front", payload_at())
+    service.flush().result(60.0)
+    (quarantined,) = service.state.quarantined
+    assert quarantined.cluster_id == stuck[0]
+    assert "did not end within 1 s" in quarantined.error
+    assert len(service.state.snapshot.members) == service.state.experts - 1
+    source.put("robot", "front", payload_at(1.0, 1.0, seq=2))
+    service.flush().result(60.0)
+    assert service.state.scans_integrated == 2
+    assert b"gpom_quarantined_experts 1" in service.metrics.exposition()
+
+
+def test_what_waits_behind_a_worker_that_hangs_is_done_by_the_next(
+    started, release, source, monkeypatch
+) -> None:
+    service = started(workers=1, job_timeout_s=1.0, attempts_max=2)
+    for seq in range(1, 8):
+        source.put("robot", "front", payload_at(0.2 * seq, 0.1, seq=seq))
+    service.flush().result(60.0)  # how long a job takes is known: several wait in the pool
+    stuck = hang_one(monkeypatch, release)
+    for seq in range(8, 16):
+        source.put("robot", "front", payload_at(0.2 * seq - 2.0, 0.7, seq=seq))
+    service.flush().result(60.0)
+    assert [one.cluster_id for one in service.state.quarantined] == stuck
+    assert service.state.dirty <= set(stuck)
