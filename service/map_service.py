@@ -195,9 +195,10 @@ class MapService:
         self._received_before = sum(robot.scans for robot in self.fleet.robots())
 
     def hang_up(self) -> None:
-        """End what keeps connections open for long: event streams and heavy queries."""
+        """End what keeps connections open for long: event streams, heavy queries and flushes."""
         self.events.close()
         self.queries.close()
+        self._mapping.give_up_flushes()
 
     def stop(self) -> None:
         """Let no more scans in, finish what is quick to finish, end every thread."""

@@ -230,9 +230,10 @@ class MapKeeper:
         with self._changed:
             self._stopping = True
             self._changed.notify_all()
-        self._give_up_flushes()
+        self.give_up_flushes()
 
-    def _give_up_flushes(self) -> None:
+    def give_up_flushes(self) -> None:
+        """Tell who waits for a flush that the service is shutting down."""
         with self._changed:
             flushes, self._flushes = self._flushes, []
         for flush in flushes:
@@ -246,7 +247,7 @@ class MapKeeper:
             with self._changed:
                 self._changed.wait_for(lambda: self._begun or self._stopping)
         if not self._wait():
-            self._give_up_flushes()
+            self.give_up_flushes()
             return False
         self._integrate()
         swap = self._training.step()

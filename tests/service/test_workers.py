@@ -10,6 +10,7 @@ from gpom_core.config import MapConfig
 from gpom_core.link import Link
 from gpom_core.mapper import CalibrationJob, Mapper, TrainingJob
 from service.clock import SystemClock
+from service.errors import StoppingError
 from service.map_service import MapService, Ports
 from service.metrics import Metrics
 from service.settings import Settings, TrainingSettings
@@ -153,3 +154,13 @@ def test_what_waits_behind_a_worker_that_hangs_is_done_by_the_next(
     service.flush().result(60.0)
     assert [one.cluster_id for one in service.state.quarantined] == stuck
     assert service.state.dirty <= set(stuck)
+
+
+def test_a_flush_does_not_hold_the_end(started, release, source, monkeypatch) -> None:
+    service = started(workers=1)
+    hang_one(monkeypatch, release)
+    source.put("robot", "front", payload_at())
+    flush = service.flush()
+    service.hang_up()
+    with pytest.raises(StoppingError):
+        flush.result(5.0)
