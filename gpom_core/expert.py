@@ -10,9 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import lapack
 from gpom_core.errors import GpomError
-from gpom_core.inverse import inverse_spd
+from gpom_core.inverse import addresses_for, inverse_spd
 from gpom_core.jit import compiled
 from gpom_core.kernels import gram
 from gpom_core.observations import Observations
@@ -104,7 +103,11 @@ def train(
         observations = replace(observations, noise_variance=noise_variance)
     k = gram(observations.kinds, observations.geometry, hyperparameters.length_scale_m)
     weights, log_likelihood = _condition(
-        k, observations.targets, noise_variance, hyperparameters.signal_std**2, lapack.ADDRESSES
+        k,
+        observations.targets,
+        noise_variance,
+        hyperparameters.signal_std**2,
+        addresses_for(len(k)),
     )
     if not isfinite(log_likelihood):
         raise TrainingError(

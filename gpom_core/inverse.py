@@ -15,11 +15,18 @@ from numpy.typing import NDArray
 
 from gpom_core.jit import compiled
 from gpom_core.lanes import LANES, load, spread, store
+from gpom_core.lapack import addresses as lapack_addresses
 from gpom_core.lapack import inverse_by_lapack
 
 _Floats = NDArray[np.float64]
 
 LARGEST_SWEPT: Final = 512  # rows; beyond, the matrix leaves the cache and LAPACK is as fast
+_NOT_NEEDED = np.zeros(2, np.int64)
+
+
+def addresses_for(rows: int) -> NDArray[np.int64]:
+    """What `inverse_spd` has to be given for a matrix of so many rows, (2,)."""
+    return lapack_addresses() if rows > LARGEST_SWEPT else _NOT_NEEDED
 
 
 @compiled
@@ -28,7 +35,7 @@ def inverse_spd(k: _Floats, addresses: NDArray[np.int64]) -> float:
 
     Args:
         k: C-ordered, only its upper triangle is read.
-        addresses: `lapack.ADDRESSES`.
+        addresses: `addresses_for(n)`.
 
     Returns:
         The log determinant, or NaN when `k` is not positive definite.

@@ -41,6 +41,7 @@ def _imported(module: str) -> frozenset[str]:
     return frozenset(name for name in found if _source(name).exists())
 
 
+@cache
 def _source(module: str) -> Path:
     path = _PACKAGE.parent.joinpath(*module.split("."))
     return path / "__init__.py" if path.is_dir() else path.with_suffix(".py")

@@ -2,25 +2,32 @@
 
 scipy's Python wrappers hold the lock while LAPACK runs (measured: two threads take twice as long),
 and numba's own `cholesky` cannot invert from the factor. Addresses come from scipy's cython_lapack
-and are passed as arguments, so that the compiled callers can still be cached.
+and are passed as arguments, so that the compiled callers can still be cached; they are looked up
+when they are first needed, for scipy takes as long to load as a tenth of a service's start.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import get_cython_function_address, intrinsic
+from numpy.typing import NDArray
 
 from gpom_core.jit import compiled
 
-_POTRF: int = get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf")
-_POTRI: int = get_cython_function_address("scipy.linalg.cython_lapack", "dpotri")
-ADDRESSES = np.array([_POTRF, _POTRI], np.int64)
-
 _LOWER = ord("L")
+
+
+@cache
+def addresses() -> NDArray[np.int64]:
+    """Where the factor and the inverse from it are, (2,)."""
+    names = ("dpotrf", "dpotri")
+    found = [get_cython_function_address("scipy.linalg.cython_lapack", name) for name in names]
+    return np.array(found, np.int64)
 
 
 @intrinsic
@@ -44,7 +51,7 @@ def inverse_by_lapack(k: Any, addresses: Any) -> float:
 
     Args:
         k: C-ordered float64, only its upper triangle is read.
-        addresses: `ADDRESSES`.
+        addresses: those of `addresses`.
 
     Returns:
         The log determinant, or NaN when `k` is not positive definite.

@@ -15,9 +15,9 @@ from math import inf, log
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import lapack
 from gpom_core.errors import ConfigurationError
 from gpom_core.expert import Hyperparameters, TrainingError
+from gpom_core.inverse import addresses_for
 from gpom_core.likelihood import direction_of, learn_curvature, negative_log_posterior
 from gpom_core.observations import Observations
 
@@ -211,4 +211,4 @@ def _arrays(
     o: Observations,
 ) -> tuple[NDArray[np.uint8], _Floats, _Floats, _Floats, NDArray[np.int64]]:
     """What the compiled likelihood reads."""
-    return o.kinds, o.geometry, o.targets, o.noise_variance, lapack.ADDRESSES
+    return o.kinds, o.geometry, o.targets, o.noise_variance, addresses_for(len(o))

@@ -36,7 +36,7 @@ def log_likelihood(
     """Log marginal likelihood of the targets; NaN if the covariance is not positive definite.
 
     Args:
-        values: (4,) hyperparameters. addresses: `lapack.ADDRESSES`.
+        values: (4,) hyperparameters. addresses: `inverse.addresses_for(n)`.
         gradient: (4,) out, derivatives by the logarithms of the hyperparameters: with dK the slope
             of the kernel, the kernel, and the noise, 1/2 tr((alpha alpha' - K^-1) dK)
             (Rasmussen & Williams, eq. 5.9).

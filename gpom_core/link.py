@@ -15,6 +15,7 @@ places are where beams end. The probit link of the paper, Phi(a m / sqrt(1 + a^2
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,8 @@ _PULL = 10.0  # towards the default, of weights in units of `_SPREAD`; one obser
 _LEAST_VARIANCE = 1e-9  # share of the prior
 _MEANS, _LEFT = np.linspace(-1.2, 1.2, 25), np.geomspace(1e-3, 1.0, 13)
 _ORDERED = 3  # weights that must not be negative
+_STEPS_MAX = 100  # about eight are enough
+_STEP_LEAST, _SHARE_LEAST = 1e-10, 1e-6
 
 
 @vectorised
@@ -98,28 +101,56 @@ def fit(mean: _Floats, left: _Floats, occupied: NDArray[np.bool_]) -> Link:
         mean: (n,) latent, at observations that are left out. left: (n,) share of the prior
             variance. occupied: (n,) what was observed.
     """
-    # Slow to load, and nobody who starts needs them.
-    from scipy.optimize import minimize  # noqa: PLC0415
-    from scipy.special import expit, log_expit  # noqa: PLC0415
-
     if len(mean) == 0:
         return Link()
     terms = _terms(mean, np.clip(left, _LEAST_VARIANCE, 1.0)) / _SPREAD
-    default = np.array(DEFAULT_WEIGHTS) * _SPREAD
-    sign = np.where(occupied, 1.0, -1.0)
-
-    def loss(theta: _Floats) -> tuple[float, _Floats]:
-        score, pull = sign * (terms @ theta), theta - default
-        value = -float(log_expit(score).sum()) + _PULL * float(pull @ pull)
-        return value, 2.0 * _PULL * pull - (sign * expit(-score)) @ terms
-
-    bounds = [(0.0, None)] * _ORDERED + [(None, None)] * (len(default) - _ORDERED)
+    signed = terms * np.where(occupied, 1.0, -1.0)[:, None]
     # Exactly the best: a restarted service calibrates as one that went on.
-    found = minimize(
-        loss, default, jac=True, method="L-BFGS-B", bounds=bounds,
-        options={"ftol": 1e-15, "gtol": 1e-9 * len(mean), "maxiter": 500},
-    )  # fmt: skip
-    return Link(tuple((found.x / _SPREAD).tolist()))
+    best = _likeliest(signed, np.array(DEFAULT_WEIGHTS) * _SPREAD)
+    return Link(tuple((best / _SPREAD).tolist()))
+
+
+def _likeliest(signed: _Floats, default: _Floats) -> _Floats:
+    """The weights of least loss, the first of them not negative, by Newton's method.
+
+    The loss is strictly convex. Each step goes to the lowest place of its quadratic model within
+    the bounds, or less far where the loss does not fall enough on the way (Armijo's rule).
+    """
+    at, loss = default, _loss(signed, default, default)
+    for _ in range(_STEPS_MAX):
+        miss = 0.5 - 0.5 * np.tanh(0.5 * (signed @ at))  # how unlikely it held what happened
+        slope = 2.0 * _PULL * (at - default) - miss @ signed
+        curvature = (signed * (miss * (1.0 - miss))[:, None]).T @ signed
+        step = _lowest(curvature + 2.0 * _PULL * np.eye(len(at)), slope, at) - at
+        promised, share = float(slope @ step), 1.0
+        while (there := _loss(signed, at + share * step, default)) > loss + 0.25 * share * promised:
+            share *= 0.5
+            if share < _SHARE_LEAST:  # rounding hides what is left to gain
+                return at
+        at, loss = at + share * step, there
+        if np.abs(share * step).max() < _STEP_LEAST:
+            break
+    return at
+
+
+def _loss(signed: _Floats, weights: _Floats, default: _Floats) -> float:
+    pull = weights - default
+    return float(np.logaddexp(0.0, -(signed @ weights)).sum()) + _PULL * float(pull @ pull)
+
+
+def _lowest(curvature: _Floats, slope: _Floats, at: _Floats) -> _Floats:
+    """Where a quadratic is lowest within the bounds: the best of what is lowest on each face."""
+    found, least = at, 0.0
+    for held in product((False, True), repeat=_ORDERED):
+        free = ~np.array([*held, *[False] * (len(at) - _ORDERED)])
+        place = np.where(free, at, 0.0)
+        pull = slope + curvature @ (place - at)
+        place[free] -= np.linalg.solve(curvature[np.ix_(free, free)], pull[free])
+        move = place - at
+        value = float(slope @ move + 0.5 * move @ curvature @ move)
+        if place[:_ORDERED].min() >= 0.0 and value < least:
+            found, least = place, value
+    return found
 
 
 def _terms(mean: _Floats, left: _Floats) -> _Floats:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from gpom_core.link import Link
 from gpom_core.mapper import CalibrationJob, Mapper
+from gpom_core.recalibration import Run
 
 
 class CalibrationError(Exception):
@@ -68,8 +69,11 @@ class Calibrating:
         """Whether a calibration begun since `want` gave this number is over, well or not."""
         return self._ended >= number
 
-    def begin(self, executor: Executor) -> None:
+    def begin(self, executor: Executor, run: Run = map) -> None:
         """Give the pool a calibration's first step, if one is due.
+
+        Args:
+            run: does what a step consists of.
 
         Raises:
             CalibrationError: the pool takes nothing.
@@ -83,7 +87,7 @@ class Calibrating:
         if job is None:
             self._ended = self._begun
         else:
-            self._running = _Running(job, job.steps())
+            self._running = _Running(job, job.steps(run))
             self._submit(self._running, executor)
 
     def advance(self, executor: Executor) -> bool:

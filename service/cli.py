@@ -33,6 +33,9 @@ def serve(
     Settings come from defaults, the file of --config, GPOM_* variables and flags, the last one
     wins. Ends with 0 on SIGINT or SIGTERM, with 2 when a setting is bad or a port is taken.
     """
+    from service.ending import Ending  # noqa: PLC0415
+
+    ending = Ending()  # first, for what follows takes seconds
     from gpom_core.errors import ConfigurationError  # noqa: PLC0415
     from service.settings_file import annotated_yaml, load_settings  # noqa: PLC0415
 
@@ -49,6 +52,8 @@ def serve(
     if print_config:
         typer.echo(annotated_yaml(settings), nl=False)
         return
+    if ending.wanted:
+        return
 
     from service.priority import load_without_collector  # noqa: PLC0415
 
@@ -59,7 +64,7 @@ def serve(
     logs.configure(settings.log_level)
     code = 0
     try:
-        server.run(settings, announce=typer.echo)
+        server.run(settings, announce=typer.echo, ending=ending)
     except (ConfigurationError, JournalError, MapFileError, SourceError) as error:
         code = _failure(str(error)).exit_code
     server.leave(code)

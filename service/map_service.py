@@ -1,6 +1,7 @@
 """The service without its web interface: the parts, put together, started and stopped in order."""
 
 import logging
+import os
 import secrets
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -180,8 +181,13 @@ class MapService:
         archive.open()
         self._starting = f"the map is being restored from {archive.newest()}"
         # Not in the pool for training, which gives way to others: nobody is served meanwhile.
-        with ThreadPoolExecutor(self.settings.training.workers, "gpom-load") as pool:
-            mapper, position = archive.load(pool)
+        cores = os.cpu_count() or 1
+        helpers = ThreadPoolExecutor(cores + 1, "gpom-restore")
+        try:
+            mapper, position = archive.load(helpers)
+        except BaseException:
+            helpers.shutdown(wait=False)
+            raise
         self._saver = Saver(
             archive.save,
             position,
@@ -190,7 +196,9 @@ class MapService:
             clock=self._ports.clock,
         )
         tail = journal.replay(position, journal.position)
-        self._mapping.resume(mapper, position, tail, self._saver)
+        self._mapping.resume(
+            mapper, position, tail, saver=self._saver, helpers=helpers, cores=cores
+        )
         self._ingest.resume()
         self._received_before = sum(robot.scans for robot in self.fleet.robots())
 

@@ -7,9 +7,9 @@ collects them between two slices of integration.
 import logging
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, Future
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 
 from gpom_core.config import MapConfig
@@ -20,6 +20,7 @@ from service.clock import Clock
 from service.errors import StoppingError
 from service.events import EventBus, MapChanged
 from service.fleet import Fleet
+from service.flush import Flush
 from service.ingest import Batch
 from service.journal import ScanRecord, StoredScan
 from service.metrics import Metrics
@@ -59,44 +60,6 @@ class MapState:
     quarantined: tuple[Quarantine, ...] = ()
 
 
-@dataclass(slots=True)
-class _Flush:
-    """Somebody waits until scans up to `ticket` are in the answers.
-
-    Once they are integrated, `missing` are the experts that were dirty at that moment, in `turn`
-    of training. Each is done when a job taken later is swapped in, or when it is clean: so a flush
-    ends even while new scans make experts dirty again all the time. Then the map is calibrated, by
-    the `calibration` of that number: what a flush shows depends on the scans alone.
-    """
-
-    ticket: int
-    done: "Future[None]" = field(default_factory=Future)
-    missing: set[int] | None = None
-    turn: int = 0
-    calibration: int | None = None
-
-    def advance(self, settled_ticket: int, dirty: frozenset[int], turn: int) -> bool:
-        """Look at what a step of training did not do; tell whether the wait is over."""
-        if self.missing is None:
-            if settled_ticket < self.ticket:
-                return False
-            self.missing, self.turn = set(dirty), turn
-        self.missing &= dirty
-        return not self.missing
-
-    def follow(self, splits: Sequence[tuple[int, int]]) -> None:
-        """Look at what was halved: the evidence of a missing expert is in both halves."""
-        if self.missing is not None:
-            for cluster, half in splits:
-                if cluster in self.missing:
-                    self.missing.add(half)
-
-    def note(self, turns: Mapping[int, int]) -> None:
-        """Look at what was swapped in."""
-        if self.missing is not None:
-            self.missing -= {cluster for cluster, turn in turns.items() if turn > self.turn}
-
-
 class MapKeeper:
     """Owns the mapper. Everything but `_step` may be called from any thread."""
 
@@ -124,7 +87,7 @@ class MapKeeper:
         self._changed = threading.Condition()
         self._batches: deque[Batch] = deque()
         self._backlog = 0
-        self._flushes: list[_Flush] = []
+        self._flushes: list[Flush] = []
         self._stopping = False
         self._begun = False
         self._poked = False
@@ -135,6 +98,7 @@ class MapKeeper:
         self._position = 0  # in the journal, of the last scan that was handed over
         self._tail: Tail | None = None
         self._restored: Future[None] | None = None
+        self._helpers: ThreadPoolExecutor | None = None
         self._saver: Saver | None = None
         self._new_training = partial(
             Training,
@@ -154,7 +118,14 @@ class MapKeeper:
         )
 
     def resume(
-        self, mapper: Mapper, position: int, tail: Iterator[StoredScan], saver: "Saver"
+        self,
+        mapper: Mapper,
+        position: int,
+        tail: Iterator[StoredScan],
+        *,
+        saver: "Saver",
+        helpers: ThreadPoolExecutor,
+        cores: int,
     ) -> None:
         """Go on from a checkpoint and the scans stored since; to be called before `begin`.
 
@@ -163,10 +134,15 @@ class MapKeeper:
             position: see above.
             tail: scans beyond it. Until they are in the answers the map is being restored.
             saver: is offered the map after every step.
+            helpers: train and calibrate until then, with nobody to give way to; one more than
+                `cores`, for one waits while the others leave scans out.
+            cores: see above.
         """
         self._adopt(mapper)
         self._tail, self._saver = Tail(tail, position, self._beams_max), saver
         self._position = position
+        self._helpers = helpers
+        self._training.borrow(helpers, cores)
 
     def begin(self) -> None:
         """Let the thread, which gets the kernels ready as soon as it is started, go on to work."""
@@ -184,6 +160,10 @@ class MapKeeper:
     def restoring(self) -> bool:
         """Whether answers would come from a map that is not yet what it was."""
         return self._tail is not None
+
+    @property
+    def _reading_tail(self) -> bool:
+        return self._tail is not None and self._tail.held_any and self._restored is None
 
     @property
     def backlog(self) -> int:
@@ -215,7 +195,7 @@ class MapKeeper:
 
         Cancel it to give up. It fails with StoppingError when the service stops first.
         """
-        flush = _Flush(ticket)
+        flush = Flush(ticket)
         with self._changed:
             if self._stopping:
                 flush.done.set_exception(StoppingError("the service is shutting down"))
@@ -250,7 +230,8 @@ class MapKeeper:
             self.give_up_flushes()
             return False
         self._integrate()
-        swap = self._training.step()
+        # What is trained before the end of the tail would be trained again there.
+        swap = None if self._reading_tail else self._training.step()
         self._publish()
         if swap is not None:
             news = MapChanged(swap.snapshot.version, swap.snapshot.changed_bounds)
@@ -305,6 +286,9 @@ class MapKeeper:
         elif tail.trouble is None and self._caught_up(tail):
             logger.info("the map is restored: scans=%d", self._integrated)
             self._tail = None
+            self._training.give_back()
+            if self._helpers is not None:
+                self._helpers.shutdown(wait=False)
             if self._saver is not None and tail.held_any:
                 self._saver.hurry()
         else:

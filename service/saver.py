@@ -15,6 +15,10 @@ from service.metrics import Metrics
 
 logger = logging.getLogger(__name__)
 
+_REST_S = 2.0  # robots that sent nothing for so long have come to rest
+_SOONEST = 1 / 6  # of the interval, between two copies because of that
+_LOOK_S = 0.1  # how often it is looked whether the last copy is written
+
 Save = Callable[[Mapping[str, NDArray[np.generic]], int], None]
 """Keeps an image of the map that goes up to a position in the journal."""
 
@@ -25,7 +29,8 @@ class Saver:
     Args:
         save: writes; raises MapFileError.
         position: up to which the map is saved already.
-        interval_s: between two copies. A copy that cannot be written is tried again after it.
+        interval_s: between two copies, also if one cannot be written. When robots have come to rest
+            there is one sooner: a restart has nothing to integrate then.
     """
 
     def __init__(
@@ -38,6 +43,7 @@ class Saver:
         self._saved = (position, -1)
         self._offered = position
         self._next_s = clock.monotonic_s() + interval_s
+        self._heard_s = clock.monotonic_s()
         self._pool = ThreadPoolExecutor(1, thread_name_prefix="gpom-save")
         self._running: Future[None] | None = None
         self._trouble: str | None = None
@@ -50,7 +56,13 @@ class Saver:
         """When the next offer is wanted; None if nothing changed since the last."""
         if self._offered == self._saved[0]:
             return None
-        return max(0.0, self._next_s - self._clock.monotonic_s())
+        soonest_s = self._next_s - (1.0 - _SOONEST) * self._interval_s
+        due_s = min(self._next_s, max(soonest_s, self._heard_s + _REST_S))
+        return max(_LOOK_S if self._writing else 0.0, due_s - self._clock.monotonic_s())
+
+    @property
+    def _writing(self) -> bool:
+        return self._running is not None and not self._running.done()
 
     def hurry(self) -> None:
         """Want the next offer now: what was just restored need not be integrated once more."""
@@ -58,9 +70,9 @@ class Saver:
 
     def offer(self, mapper: Mapper, position: int) -> None:
         """Copy the map if it is time. Called by the thread that owns it."""
-        self._offered = position
-        running = self._running is not None and not self._running.done()
-        if self.seconds_to_save() != 0.0 or running:
+        if position != self._offered:
+            self._offered, self._heard_s = position, self._clock.monotonic_s()
+        if self.seconds_to_save() != 0.0:
             return
         self._next_s = self._clock.monotonic_s() + self._interval_s
         state, image = _state(mapper, position), dump(mapper)

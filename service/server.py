@@ -1,41 +1,37 @@
 """The life of the process: bind, answer, start, announce, serve until a signal, stop in seconds.
 
 HTTP answers from the beginning, so that whoever watches a start sees how far it is; all but the
-state of the service is 503 until it has started.
+state of the service is 503 until it has started. What HTTP needs is loaded beside the map: modules
+keep the interpreter busy, compiled code and experts do not.
 """
 
 import asyncio
 import logging
 import os
-import signal
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from types import FrameType
-
-import uvicorn
+from collections.abc import Callable
+from contextlib import suppress
 
 from service.access import check_exposure
+from service.assembly import assemble
+from service.ending import Ending
 from service.errors import SourceError
-from service.http.app import create_app
 from service.map_service import MapService
 from service.priority import collect_what_is_new, share_interpreter
 from service.settings import HttpSettings, Settings
 
 logger = logging.getLogger(__name__)
 
-_GRACE_S = 2  # for answers under way when the end comes
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
-
-def run(settings: Settings, announce: Callable[[str], None]) -> None:
+def run(settings: Settings, announce: Callable[[str], None], ending: Ending) -> None:
     """Serve until SIGINT or SIGTERM.
 
     Args:
         settings: of everything.
         announce: told once, when the service can be reached, where that is.
+        ending: knows when it is time.
 
     Raises:
         ConfigurationError: an address can be reached by strangers, and nothing keeps them out.
@@ -45,7 +41,9 @@ def run(settings: Settings, announce: Callable[[str], None]) -> None:
     share_interpreter()
     listener = _listen(settings.http)
     with listener:
-        asyncio.run(_serve(settings, listener, announce))
+        service = assemble(settings)
+        if not ending.wanted:
+            asyncio.run(_serve(service, listener, announce, ending))
 
 
 def leave(code: int) -> None:
@@ -61,39 +59,38 @@ def leave(code: int) -> None:
 
 
 async def _serve(
-    settings: Settings, listener: socket.socket, announce: Callable[[str], None]
+    service: MapService,
+    listener: socket.socket,
+    announce: Callable[[str], None],
+    ending: Ending,
 ) -> None:
-    app = create_app(settings)
-    service: MapService = app.state.service
-    config = uvicorn.Config(
-        app,
-        lifespan="off",  # it would hold all answers back until the service has started
-        log_config=None,
-        access_log=False,
-        timeout_graceful_shutdown=_GRACE_S,
-        server_header=False,
-        ssl_certfile=settings.http.tls_certificate,
-        ssl_keyfile=settings.http.tls_key,
-    )
-
-    server = _Server(config, on_stopping=service.hang_up)
-    serving = asyncio.create_task(server.serve(sockets=[listener]))
     starting = _in_thread(service.start)
     try:
-        await asyncio.wait({serving, starting}, return_when=asyncio.FIRST_COMPLETED)
-        if starting.done():
-            starting.result()
-            collect_what_is_new()
-            zenoh = ",".join(service.endpoints) or "none"
-            http = _url(listener, settings.http)
-            announce(f"gpom: listening http={http} zenoh={zenoh} prefix={settings.zenoh.prefix}")
-        await serving
+        from service.http.listening import Server  # noqa: PLC0415 - beside the start, see above
+
+        server = Server(service)
+        ending.tell(server.exit_soon)
+        serving = asyncio.create_task(server.serve(sockets=[listener]))
+        try:
+            await asyncio.wait({serving, starting}, return_when=asyncio.FIRST_COMPLETED)
+            if starting.done():
+                starting.result()
+                collect_what_is_new()
+                announce(_where(service, listener))
+            await serving
+        finally:
+            server.exit_soon()
+            await serving
     finally:
-        server.should_exit = True
-        await serving
         logger.info("stopping")
         if starting.done() and starting.exception() is None:
             await asyncio.to_thread(service.stop)
+
+
+def _where(service: MapService, listener: socket.socket) -> str:
+    http, zenoh = service.settings.http, ",".join(service.endpoints) or "none"
+    url, prefix = _url(listener, http), service.settings.zenoh.prefix
+    return f"gpom: listening http={url} zenoh={zenoh} prefix={prefix}"
 
 
 def _in_thread(call: Callable[[], None]) -> "asyncio.Future[None]":
@@ -120,37 +117,6 @@ def _in_thread(call: Callable[[], None]) -> "asyncio.Future[None]":
 
     threading.Thread(target=run, name="gpom-start", daemon=True).start()
     return done
-
-
-class _Server(uvicorn.Server):
-    """uvicorn, ended by a signal with exit code 0 and without waiting for event streams."""
-
-    def __init__(
-        self,
-        config: uvicorn.Config,
-        *,
-        on_stopping: Callable[[], None],
-    ) -> None:
-        super().__init__(config)
-        self._on_stopping = on_stopping
-
-    async def shutdown(self, sockets: Sequence[socket.socket] | None = None) -> None:
-        self._on_stopping()
-        await super().shutdown(None if sockets is None else list(sockets))
-
-    @contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        def stop(number: int, _: FrameType | None) -> None:
-            logger.info("received %s", signal.Signals(number).name)
-            self.should_exit = True
-
-        # uvicorn's own raises the signal again at the end, which would spoil the exit code.
-        before = {number: signal.signal(number, stop) for number in _SIGNALS}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def _listen(http: HttpSettings) -> socket.socket:

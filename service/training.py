@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
+from gpom_core.recalibration import Run
 from gpom_core.snapshot import Snapshot
 from service.calibrating import Calibrating, CalibrationError
 from service.clock import Clock
@@ -91,6 +92,8 @@ class Training:
         self._mapper = mapper
         self._executor = executor
         self._workers = workers
+        self._run: Run = map
+        self._own = executor, workers
         self._swap_interval_s = swap_interval_s
         self._attempts_max = attempts_max
         self._metrics = metrics
@@ -121,6 +124,17 @@ class Training:
     def idle(self) -> bool:
         """Whether nothing is being trained or waits to be swapped in."""
         return not (self._in_pool or self._trained or self._calibrating.active)
+
+    def borrow(self, helpers: Executor, workers: int) -> None:
+        """Let others run jobs until `give_back`, so many at once, and calibrations on all of them.
+
+        There must be one more of them than `workers`: it waits for the others that leave scans out.
+        """
+        self._executor, self._workers, self._run = helpers, workers, helpers.map
+
+    def give_back(self) -> None:
+        """Let the executor run jobs again that is there for it."""
+        self._executor, self._workers, self._run = *self._own, map
 
     def calibrate(self) -> int:
         """Calibrate next, even if little is new; give a number to ask `calibrated` about."""
@@ -185,7 +199,7 @@ class Training:
 
     def _begin_calibration(self) -> None:
         try:
-            self._calibrating.begin(self._executor)
+            self._calibrating.begin(self._executor, self._run)
         except CalibrationError as error:
             self._uncalibrated(error)
 
@@ -228,6 +242,7 @@ class Training:
         if self._renew is not None:
             logger.warning("workers died or hang; new ones take over")
             self._executor = self._renew()
+            self._own = self._executor, self._own[1]
 
     def _give_up_hanging(self) -> None:
         """Take jobs from workers that have not ended one in time; it fails, the others go on."""

@@ -210,6 +210,7 @@ def _configuration(settings: ZenohSettings) -> zenoh.Config:
         # A router that is down comes back: keep trying, and say so in readiness.
         "connect/exit_on_failure": False,
         "connect/timeout_ms": -1,
+        "scouting/delay": 0,  # nobody is looked for, and opening would wait half a second for that
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,

@@ -7,8 +7,6 @@ from importlib.metadata import PackageNotFoundError, version
 
 from fastapi import FastAPI
 
-from service.archive import Archive
-from service.clock import SystemClock
 from service.http import (
     errors,
     experts,
@@ -24,23 +22,12 @@ from service.http.guard import Guard
 from service.http.head import Head
 from service.http.observe import Observe
 from service.http.shares import Shares
-from service.map_service import MapService, Ports
-from service.ros.gateway import RosGateway
-from service.ros.map_out import MapPublisher
-from service.settings import Settings
-from service.zenoh_source import ZenohSource
+from service.map_service import MapService
 
 
-def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
-    """Build the application; its lifespan starts and stops the service in `app.state.service`.
-
-    Args:
-        settings: of everything.
-        ports: what to connect to; without it zenoh and the data directory as in the settings.
-    """
-    publisher = MapPublisher(settings.ros)
-    service = MapService(settings, ports or _ports(settings, publisher))
-    publisher.follow(lambda: service.state.snapshot, service.events)
+def create_app(service: MapService) -> FastAPI:
+    """Build the application around a service, which its lifespan starts and stops."""
+    settings = service.settings
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -74,21 +61,6 @@ def create_app(settings: Settings, ports: Ports | None = None) -> FastAPI:
     asks = any((access.read_tokens, access.write_tokens, access.admin_tokens))
     openapi.describe(app, tokens=asks)
     return app
-
-
-def _ports(settings: Settings, publisher: MapPublisher) -> Ports:
-    clock = SystemClock()
-    ingest = settings.ingest
-    gateway = RosGateway(
-        settings.ros, beams_max=ingest.beams_max, robots_max=ingest.robots_max, clock=clock
-    )
-    source = ZenohSource(settings.zenoh, (gateway, publisher))
-    archive = (
-        None
-        if settings.data_dir is None
-        else Archive(settings.data_dir, settings.journal, settings.map, clock)
-    )
-    return Ports(source, archive=archive, clock=clock, acknowledge=source.acknowledge)
 
 
 def _version() -> str:

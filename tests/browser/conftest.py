@@ -37,7 +37,7 @@ class Site(AbstractContextManager):
 
     def start(self) -> None:
         self.source = MemorySource()
-        app = create_app(self._settings, Ports(self.source))
+        app = create_app(MapService(self._settings, Ports(self.source)))
         self.service: MapService = app.state.service
         config = uvicorn.Config(
             app, port=self.port, log_config=None, ws="none", timeout_graceful_shutdown=1

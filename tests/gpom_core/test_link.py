@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.special import expit
+from scipy.optimize import minimize
+from scipy.special import expit, log_expit
 
 from gpom_core.link import DEFAULT_WEIGHTS, Link, fit
 
@@ -60,6 +61,29 @@ def test_the_truth_is_found_again() -> None:
     found = fit(*drawn(truth, 100_000))
     assert found.weights == pytest.approx(truth, abs=0.35)
     assert not found.differs(Link(truth), 0.02)
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [(2.0, 0.5, 1.5, 0.8, 2.0), (4.0, -1.0, 0.3, 0.0, 6.0), (-3.0, 0.0, -1.0, 9.0, -9.0)],
+)
+def test_it_is_the_best_by_another_way_of_looking(truth: tuple[float, ...]) -> None:
+    """L-BFGS-B on the loss as the docstrings say it; the best may lie on any of the bounds."""
+    rng = np.random.default_rng(1)
+    mean, u = rng.uniform(-1.1, 1.1, 3000), rng.beta(0.5, 1.0, 3000).clip(1e-4)
+    occupied = rng.random(3000) < expit(log_odds(mean, u, truth))
+    spread = np.array([0.87, 2.84, 1.01, 0.31, 0.08])
+    terms = np.column_stack([log_odds(mean, u, tuple(one)) for one in np.eye(5)]) / spread
+
+    def loss(theta: np.ndarray) -> float:
+        score = np.where(occupied, 1.0, -1.0) * (terms @ theta)
+        return -log_expit(score).sum() + 10.0 * ((theta - DEFAULT_WEIGHTS * spread) ** 2).sum()
+
+    bounds = [(0.0, None)] * 3 + [(None, None)] * 2
+    best = minimize(loss, DEFAULT_WEIGHTS * spread, bounds=bounds, options={"ftol": 1e-15})
+    found = np.array(fit(mean, u, occupied).weights) * spread
+    assert loss(found) <= best.fun + 1e-9
+    np.testing.assert_allclose(found, best.x, atol=1e-3)
 
 
 def test_no_evidence_is_the_default_and_a_little_changes_little() -> None:

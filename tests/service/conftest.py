@@ -72,7 +72,7 @@ def service(
 @pytest.fixture
 def client(settings: Settings, source: MemorySource, journal: MemoryJournal) -> Iterator[WebClient]:
     """The web interface of the same, without a network."""
-    app = create_app(settings, Ports(source, journal))
+    app = create_app(MapService(settings, Ports(source, journal)))
     with WebClient(app) as client:
         wait_until(lambda: client.get("/readyz").is_success, COMPILE_S)
         yield client

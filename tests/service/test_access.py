@@ -25,7 +25,7 @@ READ, WRITE, ADMIN = ("read-0123456789abcdef", "write-0123456789abcde", "admin-0
 @pytest.fixture
 def guarded(eventually):
     access = AccessSettings(read_tokens=(READ,), write_tokens=(WRITE,), admin_tokens=(ADMIN,))
-    app = create_app(Settings(access=access), Ports(MemorySource()))
+    app = create_app(MapService(Settings(access=access), Ports(MemorySource())))
     with WebClient(app) as client:
         eventually(lambda: client.get("/readyz").is_success)
         yield client

@@ -10,7 +10,7 @@ from PIL import Image
 
 from service.http.app import create_app
 from service.http.context import VERSION_HEADER
-from service.map_service import Ports
+from service.map_service import MapService, Ports
 from service.points import JSON, NPY, write_npy
 from service.settings import HttpSettings, Settings
 from service.source import MemorySource
@@ -335,7 +335,7 @@ def test_unexpected_errors(client, monkeypatch) -> None:
 
 def test_busy_service_says_when_to_come_back() -> None:
     http = HttpSettings(query_threads=1, queries_waiting_max=0, retry_after_s=3)
-    app = create_app(Settings(http=http), Ports(MemorySource()))
+    app = create_app(MapService(Settings(http=http), Ports(MemorySource())))
     with WebClient(app) as client:
         release = threading.Event()
         app.state.service.queries.submit(release.wait)
@@ -390,8 +390,8 @@ def test_openapi_is_served_with_examples(client) -> None:
 def test_two_services_in_one_process_do_not_meet() -> None:
     first, second = MemorySource(), MemorySource()
     with (
-        WebClient(create_app(Settings(), Ports(first))) as one,
-        WebClient(create_app(Settings(), Ports(second))) as two,
+        WebClient(create_app(MapService(Settings(), Ports(first)))) as one,
+        WebClient(create_app(MapService(Settings(), Ports(second)))) as two,
     ):
         first.put("robot", "front", payload_at())
         one.post("/v1/flush")

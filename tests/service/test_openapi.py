@@ -8,7 +8,7 @@ import uvicorn
 from hypothesis import HealthCheck, given, settings
 
 from service.http.app import create_app
-from service.map_service import Ports
+from service.map_service import MapService, Ports
 from service.settings import HttpSettings, Settings
 from service.source import MemorySource
 from tests.service.rooms import payload_at
@@ -23,7 +23,7 @@ def api():
     """The routes of a service with a small map; streams, which never end, are tested elsewhere."""
     source = MemorySource()
     limits = HttpSettings(grid_cells_max=10_000, query_points_max=1000, flush_timeout_max_s=5.0)
-    app = create_app(Settings(http=limits), Ports(source))
+    app = create_app(MapService(Settings(http=limits), Ports(source)))
     service = app.state.service
     service.start()
     source.put("robot", "front", payload_at())

@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import httpx
 
@@ -208,6 +209,30 @@ def test_a_signal_ends_a_start_that_takes_long(tmp_path) -> None:
             assert time.monotonic() - start_s < 10.0
         finally:
             child.kill()
+
+
+def test_a_signal_while_modules_are_loaded_ends_it_cleanly(tmp_path) -> None:
+    flags = ("--port", "0", "--zenoh-listen", "", "--data-dir", str(tmp_path / "data"))
+    child = subprocess.Popen([*COMMAND, *flags], stderr=subprocess.PIPE, text=True)
+    try:
+        end_s = time.monotonic() + 60.0
+        while not catches(child.pid, signal.SIGTERM):
+            assert time.monotonic() < end_s
+            time.sleep(0.002)
+        child.send_signal(signal.SIGTERM)
+        _, errors = child.communicate(timeout=60.0)
+        assert child.returncode == 0, errors
+        assert "Traceback" not in errors
+        assert not (tmp_path / "data").exists(), "nothing had begun"
+    finally:
+        child.kill()
+
+
+def catches(pid: int, number: signal.Signals) -> bool:
+    """Whether a process has a handler for a signal."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    (mask,) = re.findall(r"SigCgt:\s*(\w+)", status)
+    return bool(int(mask, 16) >> (number - 1) & 1)
 
 
 def test_a_taken_http_port_is_one_clear_line() -> None:

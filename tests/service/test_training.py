@@ -1,8 +1,10 @@
-from concurrent.futures import Executor, Future
+import time
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 
 import pytest
 
 from gpom_core.config import MapConfig
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper, TrainingJob
 from service.clock import ManualClock
 from service.metrics import Metrics
@@ -75,6 +77,25 @@ def test_dirty_experts_are_trained_and_swapped_in(rig) -> None:
     assert rig.mapper.snapshot().version > 0
     assert len(rig.mapper.snapshot().experts()) == rig.mapper.expert_count > 0
     assert rig.wakes > 0
+
+
+def test_helpers_do_the_work_until_they_are_given_back(rig) -> None:
+    with ThreadPoolExecutor(3) as helpers:
+        rig.training.borrow(helpers, 2)
+        for step in range(3):
+            rig.mapper.update(scan_at(0.2 * step, 0.1))
+        number = rig.training.calibrate()
+        end_s = time.monotonic() + 60.0
+        while not rig.training.calibrated(number):
+            assert time.monotonic() < end_s
+            rig.training.step()
+            time.sleep(0.001)
+        assert rig.mapper.snapshot().link != Link()
+        assert rig.pool.waiting == []
+        rig.training.give_back()
+    rig.mapper.update(scan_at(1.0, 1.0))
+    rig.training.step()
+    assert rig.pool.waiting
 
 
 def test_results_wait_for_company_but_not_for_long(rig) -> None:
