@@ -14,6 +14,7 @@ changed in place, so threads need no lock: at worst two of them fill the same ti
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from itertools import count
 
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from gpom_core.committee import Fusion
 from gpom_core.lattice import fill_tile, interpolate, slots_of
-from gpom_core.member import SECTOR_TILES, TILE_M, Bounds
+from gpom_core.member import SECTOR_M, SECTOR_TILES, TILE_M, Bounds, sector_key
 from gpom_core.pages import Nodes, Pages
 from gpom_core.sector import Sector, committee_sums
 
@@ -32,6 +33,7 @@ BYTES_MAX = 1 << 28  # of nodes, per fusion rule; the tiles used longest ago are
 _KEPT = 0.9  # share of the bytes that stays when there are too many
 
 _ticks = count(1)
+_NO_PAGES = Pages(np.empty(0, np.int64), {}, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +43,15 @@ class _View:
     pages: tuple[Pages, ...]
     books: NDArray[np.int64]
 
-    def replaced(self, slot: int, pages: Pages, used: NDArray[np.int64]) -> _View:
-        books = self.books.copy()
-        books[slot] = _book(pages, used)
-        return _View((*self.pages[:slot], pages, *self.pages[slot + 1 :]), books)
-
-
-def _book(pages: Pages, used: NDArray[np.int64]) -> tuple[int, int]:
-    return pages.marks.ctypes.data, used.ctypes.data
+    def replaced(self, new: Mapping[int, tuple[Pages, NDArray[np.int64]]]) -> _View:
+        """With other pages in some slots; slots beyond the last are new."""
+        size = max([len(self.pages), *(slot + 1 for slot in new)])
+        pages, books = list(self.pages), np.empty((size, 2), np.int64)
+        pages += [_NO_PAGES] * (size - len(pages))
+        books[: len(self.books)] = self.books
+        for slot, (page, used) in new.items():
+            pages[slot], books[slot] = page, (page.marks.ctypes.data, used.ctypes.data)
+        return _View(tuple(pages), books)
 
 
 class Field:
@@ -72,18 +75,40 @@ class Field:
         prior_variance: float,
         weights: tuple[float, ...],
     ) -> None:
-        self._sectors = tuple(sectors.values())
         self._reach = np.array(reach)
         self._rule = Fusion.RBCM if fusion is Fusion.RBCM else Fusion.BCM
         self._negligible = negligible
         self._prior_variance = prior_variance
         self._weights = np.array(weights)
         self._bytes_max = BYTES_MAX
-        self._keys = np.array(list(sectors), np.int64)
+        self._slot_of: dict[int, int] = {}
+        self._sectors: list[Sector] = []
+        self._keys = np.empty(0, np.int64)
         self._slots = slots_of(self._keys)
-        pages = tuple(sector.pages[self._rule] for sector in self._sectors)
-        books = [_book(p, s.used) for p, s in zip(pages, self._sectors, strict=True)]
-        self._view = _View(pages, np.array(books, np.int64).reshape(-1, 2))
+        self._view = _View((), np.empty((0, 2), np.int64))
+        self._put(sectors)
+
+    def swapped(self, changed: Mapping[int, Sector], reach: Bounds) -> Field:
+        """The field of the map in which some sectors are others; all else is shared."""
+        later = copy(self)
+        later._reach = np.array(reach)
+        later._put(changed)
+        return later
+
+    def _put(self, sectors: Mapping[int, Sector]) -> None:
+        new = [key for key in sectors if key not in self._slot_of]
+        if new:
+            more = {key: len(self._slot_of) + i for i, key in enumerate(new)}
+            self._slot_of = self._slot_of | more
+            self._keys = np.array(list(self._slot_of), np.int64)
+            self._slots = slots_of(self._keys)
+        self._sectors = [*self._sectors, *(sectors[key] for key in new)]
+        for key, sector in sectors.items():
+            self._sectors[self._slot_of[key]] = sector
+        self._view = self._view.replaced({
+            self._slot_of[key]: (sector.pages[self._rule], sector.used)
+            for key, sector in sectors.items()
+        })  # fmt: skip
 
     @property
     def size_bytes(self) -> int:
@@ -109,7 +134,7 @@ class Field:
             rare = late[: read(which, view)].copy()
             sector = self._sectors[slot]
             committee_sums(
-                points, rare, sector.corner, sector.tables, sector.scales, sector.starts,
+                points, rare, sector.corner, sector.tables, sector.starts,
                 sector.entries, int(self._rule), self._negligible, precision, information,
             )  # fmt: skip
         return precision, information
@@ -120,16 +145,9 @@ class Field:
         """Numbers of the points in each sector, by the sector's slot."""
         if len(which) == 0:
             return {}
-        corners = np.array([sector.corner for sector in self._sectors])
-        edge = SECTOR_TILES * TILE_M
-        place = np.floor(points[which] / edge).astype(np.int64)
-        slot_of = {
-            (x, y): slot for slot, (x, y) in enumerate(np.rint(corners / edge).astype(int).tolist())
-        }
-        squares, square = np.unique(place, axis=0, return_inverse=True)
-        return {
-            slot_of[x, y]: which[square.ravel() == i] for i, (x, y) in enumerate(squares.tolist())
-        }
+        place = np.floor(points[which] / SECTOR_M).astype(np.int64)
+        keys, sector = np.unique(sector_key(place[:, 0], place[:, 1]), return_inverse=True)
+        return {self._slot_of[key]: which[sector == i] for i, key in enumerate(keys.tolist())}
 
     def _filled(self, slot: int, points: NDArray[np.float64]) -> _View:
         """A view in which those tiles of a sector are filled that were asked for often enough."""
@@ -144,7 +162,7 @@ class Field:
             pages = pages.with_tiles(filled)
             sector.pages[self._rule] = pages
         if pages is not self._view.pages[slot]:
-            self._view = self._view.replaced(slot, pages, sector.used)
+            self._view = self._view.replaced({slot: (pages, sector.used)})
         view = self._view
         if filled:
             self._forget()
@@ -153,7 +171,7 @@ class Field:
     def _tile(self, sector: Sector, tile: int) -> Nodes:
         corner = sector.corner + TILE_M * np.array(divmod(tile, SECTOR_TILES))
         return fill_tile(
-            corner, sector.tables, sector.scales,
+            corner, sector.tables,
             sector.entries[sector.starts[tile] : sector.starts[tile + 1]], int(self._rule),
             self._negligible, self._prior_variance, self._weights, TOLERANCE,
         )  # fmt: skip
@@ -179,5 +197,5 @@ class Field:
             sector = self._sectors[slot]
             pages = sector.pages[self._rule].without(np.array(tiles))
             sector.pages[self._rule] = pages
-            view = view.replaced(slot, pages, sector.used)
+            view = view.replaced({slot: (pages, sector.used)})
         self._view = view

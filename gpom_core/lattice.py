@@ -31,7 +31,6 @@ _Integers = NDArray[np.int64]
 def fill_tile(
     corner: _Floats,
     tables: _Integers,
-    scales: _Floats,
     entries: _Integers,
     fusion: int,
     negligible: float,
@@ -45,7 +44,7 @@ def fill_tile(
 
     Args:
         corner: (2,) low corner of the tile, metres.
-        tables, scales: of the `Sector`. entries: (e, 3) those of the tile.
+        tables: of the `Sector`. entries: (e, 3) those of the tile.
         weights: (5,) of the `Link`. tolerance: of the probability.
 
     Returns:
@@ -54,13 +53,13 @@ def fill_tile(
     n = COARSEST
     while True:
         precision, information = _lattice(
-            corner, n, n + 1, 0.0, tables, scales, entries, fusion, negligible
+            corner, n, n + 1, 0.0, tables, entries, fusion, negligible
         )
         if n >= FINEST:
             break
         error = _worst_error(
             _middles(precision), _middles(information),
-            _lattice(corner, n, n, 0.5, tables, scales, entries, fusion, negligible),
+            _lattice(corner, n, n, 0.5, tables, entries, fusion, negligible),
             1.0 / prior_variance, weights,
         )  # fmt: skip
         if error <= tolerance:
@@ -75,7 +74,7 @@ def fill_tile(
 
 @compiled
 def _lattice(
-    corner: _Floats, n: int, edge: int, shift: float, tables: _Integers, scales: _Floats,
+    corner: _Floats, n: int, edge: int, shift: float, tables: _Integers,
     entries: _Integers, fusion: int, negligible: float,
 ) -> tuple[_Floats, _Floats]:  # fmt: skip
     """Sums at the nodes (edge, edge) of a lattice of n intervals a tile, shifted by a share."""
@@ -85,7 +84,7 @@ def _lattice(
             points[i * edge + j, 0] = corner[0] + (i + shift) * (TILE_M / n)
             points[i * edge + j, 1] = corner[1] + (j + shift) * (TILE_M / n)
     precision, information = np.zeros(edge * edge), np.zeros(edge * edge)
-    tile_sums(points, tables, scales, entries, fusion, negligible, precision, information)
+    tile_sums(points, tables, entries, fusion, negligible, precision, information)
     return precision.reshape(edge, edge), information.reshape(edge, edge)
 
 

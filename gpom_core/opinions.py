@@ -20,9 +20,11 @@ from gpom_core.member import (
     EDGES,
     FACTORS,
     GEOMETRY,
+    INVERSE,
     KINDS,
     MEMBERS,
     PRECISION,
+    SIGNAL,
     SIZE,
     WEIGHTS,
 )
@@ -39,7 +41,6 @@ _Integers = NDArray[np.int64]
 def tile_sums(
     points: _Floats,
     tables: _Integers,
-    scales: _Floats,
     entries: _Integers,
     fusion: int,
     negligible: float,
@@ -50,11 +51,11 @@ def tile_sums(
 
     Args:
         points: (n, 2) metres, all in the tile.
-        tables, scales: of the `Sector`. entries: (e, 3) those of the tile.
+        tables: of the `Sector`. entries: (e, 3) those of the tile.
         negligible: kernel values below this share of the signal variance count as zero.
         precision, information: (n,) sums to add to.
     """
-    n = len(points)
+    n, numbers = len(points), tables.view(np.float64)
     room = 1
     for e in range(len(entries)):
         room = max(room, entries[e, 2] - entries[e, 1])
@@ -64,7 +65,7 @@ def tile_sums(
     mean, explained = np.empty(LANES), np.empty(LANES)
     for e in range(len(entries)):
         k = entries[e, 0]
-        size, inverse, signal = tables[k, SIZE], scales[k, 0], scales[k, 1]
+        size, inverse, signal = tables[k, SIZE], numbers[k, INVERSE], numbers[k, SIGNAL]
         kinds = carray(pointer(tables[k, KINDS]), (size,), np.uint8)
         geometry = carray(pointer(tables[k, GEOMETRY]), (size, 2, 2), np.float64)
         corners = carray(pointer(tables[k, CORNERS]), (size, 4), np.int32)

@@ -38,6 +38,11 @@ def tile_key(ix: int, iy: int) -> int:
     return ((ix + TILE_OFFSET) << TILE_BITS) | (iy + TILE_OFFSET)
 
 
+def index_of(key: int) -> tuple[int, int]:
+    """The index that `tile_key` made a key of."""
+    return (key >> TILE_BITS) - TILE_OFFSET, (key & ((1 << TILE_BITS) - 1)) - TILE_OFFSET
+
+
 @compiled
 def _tiles_of(low: float, high: float, cutoff: float, tile: float) -> tuple[int, int]:
     return int(np.floor((low - cutoff) / tile)), int(np.floor((high + cutoff) / tile))

@@ -117,7 +117,7 @@ class _Index:
 
     def __init__(self, snapshot: Snapshot, config: MapConfig) -> None:
         self._snapshot, self._config = snapshot, config
-        self._nobody = replace(snapshot, members={}, sectors={})
+        self._nobody = snapshot.emptied()
         seen = {c: m.expert.observations for c, m in sorted(snapshot.members.items())}
         ends = np.cumsum([0, *(len(o) for o in seen.values())]).tolist()
         self._mine = {c: slice(*part) for c, part in zip(seen, pairwise(ends), strict=True)}

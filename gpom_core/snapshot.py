@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
@@ -10,14 +10,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gpom_core import extent
 from gpom_core.committee import Fusion, prior_precision
 from gpom_core.errors import InvalidQueryError
-from gpom_core.extent import in_main_places
 from gpom_core.field import Field
 from gpom_core.link import Link
-from gpom_core.member import CUTOFF_SCALES, SECTOR_M, Bounds, Member, sector_key
-from gpom_core.reach import TILE_BITS, TILE_OFFSET
-from gpom_core.sector import Sector, build_sector, committee_sums, few_sums
+from gpom_core.member import (
+    CUTOFF_SCALES,
+    EXPERTS,
+    REACH,
+    SECTOR_M,
+    Bounds,
+    Member,
+    sector_area,
+    sector_key,
+)
+from gpom_core.sector import Sector, changed_sector, committee_sums, few_sums
+from gpom_core.shared import Shared
 
 NEGLIGIBLE = float(np.exp(-0.5 * CUTOFF_SCALES**2))  # of the signal variance
 FEW_POINTS = 4  # in one sector; in 0.1 ms other threads get nothing done that is worth a switch
@@ -111,6 +120,9 @@ class Snapshot:
         version: grows with every swap of experts.
         prior_variance: of the latent function in unknown space.
         members: cluster number to expert.
+        sectors, blocks: see `gpom_core.sector` and `gpom_core.extent`; by their keys.
+        covered: around all sectors there ever were, metres: it holds `reach`, and costs no look at
+            any expert. None while there are none.
         changed_bounds: the area that differs from the version before, None if nothing does.
     """
 
@@ -118,49 +130,45 @@ class Snapshot:
     prior_variance: float = 1.0
     known_variance_ratio: float = 0.8
     link: Link = field(default_factory=Link)
-    members: Mapping[int, Member] = field(default_factory=dict)
-    sectors: Mapping[int, Sector] = field(default_factory=dict)
+    members: Shared[Member] = field(default_factory=Shared)
+    sectors: Shared[Sector] = field(default_factory=Shared)
+    blocks: extent.Blocks = field(default_factory=Shared)
+    covered: Bounds | None = None
     changed_bounds: Bounds | None = None
 
     @cached_property
+    def _everything(self) -> NDArray[np.float64]:
+        return extent.total(block.total for block in self.blocks.values())
+
+    @cached_property
+    def _main(self) -> NDArray[np.float64]:
+        """All but specks of evidence far from all others."""
+        return extent.main_total(self.blocks)
+
+    @property
     def bounds(self) -> Bounds | None:
         """xmin, ymin, xmax, ymax of all evidence, metres; None while there is none."""
-        return union(member.bounds for member in self.members.values())
+        return extent.area_of(self._everything)
 
-    @cached_property
-    def main_members(self) -> tuple[Member, ...]:
-        """Those that are not in specks of evidence far from all others."""
-        members = tuple(self.members.values())
-        weights = [len(member.expert.observations) for member in members]
-        main = in_main_places([member.bounds for member in members], weights)
-        return tuple(member for member, is_main in zip(members, main, strict=True) if is_main)
-
-    @cached_property
-    def extent(self) -> Bounds | None:
-        """As `bounds`, without specks far away: what to draw when nobody says what to draw."""
-        return union(member.bounds for member in self.main_members)
-
-    @cached_property
-    def main_reach(self) -> Bounds | None:
-        """As `extent`, grown by how far evidence has a say."""
-        return union(_reach(member) for member in self.main_members)
-
-    @cached_property
+    @property
     def reach(self) -> Bounds | None:
         """As `bounds`, grown by how far evidence has a say; beyond, all is unknown."""
-        return union(_reach(member) for member in self.members.values())
+        return extent.area_of(self._everything, REACH)
 
-    @cached_property
-    def _covered(self) -> Bounds | None:
-        """Around all sectors: it holds `reach`, and takes no look at every expert to find."""
-        if not self.sectors:
-            return None
-        keys = np.fromiter(self.sectors, np.int64, len(self.sectors))
-        x = (keys >> TILE_BITS) - TILE_OFFSET
-        y = (keys & ((1 << TILE_BITS) - 1)) - TILE_OFFSET
-        low, high = (x.min(), y.min()), (x.max() + 1, y.max() + 1)
-        xmin, ymin, xmax, ymax = (float(index) * SECTOR_M for index in (*low, *high))
-        return xmin, ymin, xmax, ymax
+    @property
+    def extent(self) -> Bounds | None:
+        """As `bounds`, without specks far away: what to draw when nobody says what to draw."""
+        return extent.area_of(self._main)
+
+    @property
+    def main_reach(self) -> Bounds | None:
+        """As `extent`, grown by how far evidence has a say."""
+        return extent.area_of(self._main, REACH)
+
+    @property
+    def main_count(self) -> int:
+        """How many experts are not in specks far away."""
+        return int(self._main[EXPERTS])
 
     @cached_property
     def _fields(self) -> dict[Fusion, Field]:
@@ -168,11 +176,11 @@ class Snapshot:
 
     def field(self, fusion: Fusion = Fusion.BCM) -> Field | None:
         """The field that `method="field"` reads, None while there is no evidence."""
-        if self._covered is None:
+        if self.covered is None:
             return None
         if fusion not in self._fields:
             self._fields[fusion] = Field(
-                self.sectors, self._covered, fusion,
+                self.sectors, self.covered, fusion,
                 negligible=NEGLIGIBLE, prior_variance=self.prior_variance,
                 weights=self.link.weights,
             )  # fmt: skip
@@ -192,12 +200,12 @@ class Snapshot:
             return precision, information
         precision = np.full(len(points), prior)
         information = np.zeros(len(points))
-        for key, which in _by_sector(points, self._covered).items():
+        for key, which in _by_sector(points, self.covered).items():
             sector = self.sectors.get(key)
             if sector is not None:
                 add = few_sums if len(which) <= FEW_POINTS else committee_sums
                 add(
-                    points, which, sector.corner, sector.tables, sector.scales,
+                    points, which, sector.corner, sector.tables,
                     sector.starts, sector.entries, int(fusion), NEGLIGIBLE,
                     precision, information,
                 )  # fmt: skip
@@ -243,11 +251,10 @@ class Snapshot:
     def near(self, points: NDArray[np.float64]) -> set[int]:
         """Cluster numbers of the experts whose evidence may have a say at points (n, 2)."""
         found: set[int] = set()
-        for key, which in _by_sector(points, self.reach).items():
+        for key, which in _by_sector(points, self.covered).items():
             sector = self.sectors.get(key)
             if sector is not None:
-                numbers = np.array(list(sector.members))
-                found.update(numbers[sector.experts_near(points[which])].tolist())
+                found.update(sector.experts_near(points[which]).tolist())
         return found
 
     def experts(self) -> list[ExpertSummary]:
@@ -269,54 +276,52 @@ class Snapshot:
         """This map with other probabilities; its version stays, so swap it in at once."""
         return replace(self, link=link, changed_bounds=self.reach)
 
+    def emptied(self) -> Snapshot:
+        """A map without experts that is to answer by the same rules."""
+        return replace(
+            self, members=Shared(), sectors=Shared(), blocks=Shared(), covered=None,
+            changed_bounds=self.reach,
+        )  # fmt: skip
+
     def swapped(self, new: Iterable[Member], gone: Iterable[int] = ()) -> Snapshot:
         """The next version: `new` experts in place of their old selves, `gone` ones left out."""
-        members, sectors = dict(self.members), dict(self.sectors)
-        touched: dict[int, dict[int, Member]] = {}
-        areas: list[Bounds] = []
-        tiles: list[NDArray[np.int64]] = []
-
-        def content(member: Member) -> Iterator[dict[int, Member]]:
-            areas.append(_reach(member))
-            tiles.append(member.tiles)
-            for key in member.sectors:
-                if key not in touched:
-                    touched[key] = dict(sectors[key].members) if key in sectors else {}
-                yield touched[key]
-
-        replaced = list(new)
-        for cluster in [*gone, *(m.cluster_id for m in replaced)]:
-            old = members.pop(cluster, None)
+        fresh = {member.cluster_id: member for member in new}
+        lost = [cluster for cluster in gone if cluster not in fresh]
+        changes: dict[int, dict[int, Member | None]] = {}
+        touched: list[Member] = []
+        for cluster in (*lost, *fresh):
+            old = self.members.get(cluster)
             if old is not None:
-                for inside in content(old):
-                    inside.pop(cluster, None)
-        for member in replaced:
-            members[member.cluster_id] = member
-            for inside in content(member):
-                inside[member.cluster_id] = member
-        changed = np.concatenate(tiles) if tiles else None
-        self._rebuild(sectors, touched, changed)
-        return Snapshot(
+                touched.append(old)
+                for key in old.sectors:
+                    changes.setdefault(key, {})[cluster] = None
+        for cluster, member in fresh.items():
+            touched.append(member)
+            for key in member.sectors:
+                changes.setdefault(key, {})[cluster] = member
+        tiles = np.concatenate([np.empty(0, np.int64), *(member.tiles for member in touched)])
+        sectors = {
+            key: changed_sector(key, self.sectors.get(key), inside, tiles)
+            for key, inside in changes.items()
+        }
+        kept = {key: sector for key, sector in sectors.items() if sector is not None}
+        parts = {key: None if one is None else one.part for key, one in sectors.items()}
+        squares = [sector_area(key) for key in kept]
+        later = replace(
+            self,
             version=self.version + 1,
-            prior_variance=self.prior_variance,
-            known_variance_ratio=self.known_variance_ratio,
-            link=self.link,
-            members=members,
-            sectors=sectors,
-            changed_bounds=union(areas),
+            members=self.members.updated(fresh, lost),
+            sectors=self.sectors.updated(kept, sectors.keys() - kept.keys()),
+            blocks=extent.updated(self.blocks, parts),
+            covered=union([*squares, *([] if self.covered is None else [self.covered])]),
+            changed_bounds=union(member.reach for member in touched),
         )
-
-    @staticmethod
-    def _rebuild(
-        sectors: dict[int, Sector],
-        touched: Mapping[int, Mapping[int, Member]],
-        changed: NDArray[np.int64] | None,
-    ) -> None:
-        for key, inside in touched.items():
-            if inside:
-                sectors[key] = build_sector(inside, key, sectors.get(key), changed)
-            else:
-                sectors.pop(key, None)
+        if len(kept) == len(sectors) and later.covered is not None:
+            later._fields.update({
+                fusion: field.swapped(kept, later.covered)
+                for fusion, field in list(self._fields.items())  # queries add to it
+            })  # fmt: skip
+        return later
 
 
 def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:
@@ -355,12 +360,6 @@ def union(areas: Iterable[Bounds]) -> Bounds | None:
         return None
     low, high = corners[:, :2].min(axis=0), corners[:, 2:].max(axis=0)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
-
-
-def _reach(member: Member) -> Bounds:
-    margin = float(np.sqrt(-2.0 * np.log(NEGLIGIBLE)) / member.scales[0])
-    xmin, ymin, xmax, ymax = member.bounds
-    return xmin - margin, ymin - margin, xmax + margin, ymax + margin
 
 
 def _by_sector(points: NDArray[np.float64], area: Bounds | None) -> dict[int, NDArray[np.int64]]:

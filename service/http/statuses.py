@@ -178,5 +178,5 @@ def _status(service: MapService) -> Status:
             for robot in service.fleet.robots()
         ],
         bounds=state.snapshot.extent,
-        experts_out_of_bounds=len(state.snapshot.members) - len(state.snapshot.main_members),
+        experts_out_of_bounds=len(state.snapshot.members) - state.snapshot.main_count,
     )

@@ -3,40 +3,51 @@
 import numpy as np
 import pytest
 
-from gpom_core.extent import in_main_places
+from gpom_core.extent import main_squares
 from gpom_core.mapper import Mapper
+from gpom_core.snapshot import union
 from tests.service.rooms import scan_at
 
 
-def boxes(*places: tuple[float, float]) -> list[tuple[float, float, float, float]]:
-    return [(x, y, x + 2.0, y + 2.0) for x, y in places]
-
-
 @pytest.mark.parametrize(
-    ("places", "weights", "expected"),
+    ("weights", "expected"),
     [
-        ([], [], []),
-        ([(1e7, -1e7)], [1], [True]),
-        ([(0.0, 0.0), (50.0, 0.0), (1e7, 0.0)], [500, 500, 9], [True, True, False]),
-        ([(0.0, 0.0), (1e7, 0.0)], [500, 5], [True, False]),
-        ([(0.0, 0.0), (1e4, 0.0)], [500, 50], [True, True]),
-        ([(-1.0, -1.0), (99.0, 99.0), (150.0, 150.0)], [1000, 1, 1], [True, True, True]),
-        ([(0.0, 0.0), (-1e4, 0.0), (1e4, 0.0)], [1, 1, 1], [True, True, True]),
+        ({}, set()),
+        ({(90_000, -90_000): 1}, {(90_000, -90_000)}),
+        ({(0, 0): 1000, (90_000, 0): 9}, {(0, 0)}),
+        ({(0, 0): 500, (1000, 0): 50}, {(0, 0), (1000, 0)}),
+        ({(-1, -1): 1000, (0, 0): 1, (1, 1): 1}, {(-1, -1), (0, 0), (1, 1)}),
+        ({(0, 0): 1000, (2, 0): 1}, {(0, 0)}),
+        ({(0, 0): 1, (-100, 0): 1, (100, 0): 1}, {(0, 0), (-100, 0), (100, 0)}),
     ],
 )
-def test_specks_far_away_are_left_out(places, weights, expected) -> None:
-    assert in_main_places(boxes(*places), weights).tolist() == expected
+def test_specks_far_away_are_left_out(weights, expected) -> None:
+    assert main_squares(weights) == expected
 
 
 def test_order_does_not_matter() -> None:
     random = np.random.default_rng(3)
-    places = [(x * 120.0, y * 120.0) for x, y in random.integers(-20, 20, (200, 2))]
-    weights = random.integers(1, 50, 200).tolist()
-    order = random.permutation(200)
-    main = in_main_places(boxes(*places), weights)
-    again = in_main_places(boxes(*(places[i] for i in order)), [weights[i] for i in order])
-    assert again.tolist() == main[order].tolist()
-    assert 0 < main.sum() < 200
+    weights = {(x, y): int(random.integers(1, 50)) for x, y in random.integers(-20, 20, (200, 2))}
+    main = main_squares(weights)
+    assert main_squares(dict(reversed(weights.items()))) == main
+    assert 0 < len(main) < len(weights)
+
+
+def test_the_extent_is_what_the_experts_cover_whatever_was_swapped() -> None:
+    mapper = Mapper()
+    rooms = [(9.0 * i, 120.0 * (i % 2)) for i in range(12)]
+    for x, y in rooms:
+        mapper.update(scan_at(x, y, room=(x, y)))
+        mapper.train()
+    snapshot = mapper.snapshot()
+    numbers = sorted(snapshot.members)
+    for gone in ([], numbers[::3], numbers[1::3], numbers[2::3]):
+        snapshot = snapshot.swapped([], gone)
+        members = list(snapshot.members.values())
+        assert snapshot.bounds == snapshot.extent == union(member.bounds for member in members)
+        assert snapshot.reach == snapshot.main_reach == union(member.reach for member in members)
+        assert snapshot.main_count == len(snapshot.members) == len(members)
+    assert snapshot.bounds is None
 
 
 def test_one_scan_from_far_away_does_not_stretch_a_map() -> None:
@@ -51,4 +62,4 @@ def test_one_scan_from_far_away_does_not_stretch_a_map() -> None:
     assert after.extent == before
     assert after.bounds[2] > 8.9e6
     assert after.query([[9e6 + 3.0, 9e6]]).known.tolist() == [True], "it is in the map all the same"
-    assert len(after.main_members) < len(after.members)
+    assert 0 < after.main_count < len(after.members)

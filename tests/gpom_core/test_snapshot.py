@@ -1,7 +1,5 @@
 """Snapshots: indexed answers are those of the whole committee, and versions never change."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -226,7 +224,7 @@ def test_experts_are_listed_with_their_evidence(snapshot: Snapshot) -> None:
 
 def test_shards_of_a_committee_are_a_committee(snapshot: Snapshot, points: np.ndarray) -> None:
     members = list(snapshot.members.values())
-    empty = replace(snapshot, members={}, sectors={})
+    empty = snapshot.emptied()
     shards = [empty.swapped(members[i::3]) for i in range(3)]
     for fusion in (Fusion.BCM, Fusion.RBCM):
         sums = [shard.sums(points, fusion) for shard in shards]
@@ -241,7 +239,7 @@ def test_the_order_in_which_experts_came_does_not_matter(
     snapshot: Snapshot, points: np.ndarray
 ) -> None:
     members = list(snapshot.members.values())
-    empty = replace(snapshot, members={}, sectors={})
+    empty = snapshot.emptied()
     one_by_one = empty
     for member in members[::-1]:
         one_by_one = one_by_one.swapped([member])
@@ -253,7 +251,7 @@ def test_a_committee_without_an_expert_is_one_that_never_had_it(
 ) -> None:
     *others, gone = sorted(snapshot.members.values(), key=lambda m: len(m.expert.observations))
     without = snapshot.swapped([], [gone.cluster_id])
-    never = replace(snapshot, members={}, sectors={}).swapped(others)
+    never = snapshot.emptied().swapped(others)
     assert gone.cluster_id not in without.members
     assert same(without.query(points), never.query(points))
     assert not same(without.query(points), snapshot.query(points))
