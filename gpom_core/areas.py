@@ -10,7 +10,7 @@ from gpom_core.jit import compiled
 from gpom_core.open_space import GRAZED, cross_whole, found_areas, is_open
 from gpom_core.rows import NONE, Rows, cell_key, find_or_add
 from gpom_core.tiles import FREE, HIT, TILE_AREA, Tiles, open_from
-from gpom_core.walk import WINDOW_TILES, Crossed, span, walk
+from gpom_core.walk import WINDOW_TILES, Crossed, crossed_in, span, walk
 
 CONTRADICTED = 32.0  # what fades may be one of an expert's places; `news` looks at it closely
 
@@ -22,6 +22,8 @@ def absorb_free_areas(
     direction: NDArray[np.float64],
     free_m: NDArray[np.float64],
     homes: NDArray[np.int32],
+    length_m: NDArray[np.float64],
+    last: NDArray[np.int32],
     rows: Rows,
     tiles: Tiles,
     clusters: Clusters,
@@ -37,9 +39,11 @@ def absorb_free_areas(
     Beams are walked window by window, of which most scans need one.
 
     Args:
-        start: the window to begin with, and the tile in it; at first 0 and 0.
+        start: the window to begin with, and the tile in it if it was walked; at first 0 and NONE.
         origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
         homes: (n,) cluster of each beam.
+        length_m: (64 w,) 0 and last: (w,) NONE: a window of at least `walk.window_room` tiles. They
+            are so again at the end.
         whole: whether a tile that no surface is near to is one row.
         hit_weight: how many traversals weigh as much as one hit.
 
@@ -52,17 +56,19 @@ def absorb_free_areas(
     first = start[1]
     for window in range(start[0], across * along):
         dx, dy = window // along * WINDOW_TILES, window % along * WINDOW_TILES
-        crossed = walk(
-            origin, direction, free_m, (tx + dx, ty + dy),
-            (min(nx - dx, WINDOW_TILES), min(ny - dy, WINDOW_TILES)), cell_m,
-        )  # fmt: skip
+        corner = tx + dx, ty + dy
+        shape = min(nx - dx, WINDOW_TILES), min(ny - dy, WINDOW_TILES)
+        if first == NONE:
+            walk(origin, direction, free_m, corner, shape, cell_m, length_m, last)
+            first = 0
+        crossed = crossed_in(corner, shape, length_m, last)
         full = _merge(
             first, crossed, homes, rows, tiles, clusters,
             cell_m, near_m, whole, cap, hit_cap, hit_weight,
         )  # fmt: skip
         if full != NONE:
             return window, full
-        first = 0
+        first = int(NONE)
     return NONE, NONE
 
 
@@ -74,7 +80,7 @@ def _merge(
 ) -> int:  # fmt: skip
     """Count what was crossed in rows, tile by tile, from the `first` on.
 
-    Returns the first tile that there was no room for, or NONE.
+    What is counted is taken out. Returns the first tile that there was no room for, or NONE.
     """
     crossed_m, per_cell = crossed.length_m, 1.0 / cell_m
     free, hits, count, owner = tiles.free, tiles.hit, rows.count, rows.owner
@@ -96,9 +102,10 @@ def _merge(
             places[n] = place
             n += crossed_m[w, place] > 0.0
             missing += (crossed_m[w, place] > 0.0) & (free[tile, place] == NONE)
+        home = homes[crossed.beam[w]]
+        crossed.beam[w] = NONE
         if n == 0:
             continue  # rounding led a beam here, with nothing left to add
-        home = homes[crossed.beam[w]]
         if tiles.whole[tile] != NONE or (
             whole
             and tiles.used[tile, FREE] == 0
@@ -108,6 +115,7 @@ def _merge(
             cross_whole(
                 tx, ty, tile, home, crossed_m[w] * per_cell, rows, tiles, clusters, cell_m, cap
             )
+            crossed_m[w] = 0.0
             continue
         if missing > 0:
             found_areas(tx, ty, places[:n], tile, home, NONE, rows, tiles, clusters, cell_m, near_m)
@@ -126,4 +134,5 @@ def _merge(
                 else:
                     against = hit_weight * min(count[hit], hit_cap)
                     gain[owner[row]] += CONTRADICTED * shift(before, added, against)
+            crossed_m[w, places[i]] = 0.0
     return NONE

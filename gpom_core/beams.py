@@ -16,7 +16,6 @@ class Beams(NamedTuple):
     """The n beams of a scan that say something, in the map frame, metres.
 
     Attributes:
-        origin: (2,) the sensor.
         direction: (n, 2) unit.
         length_m: (n,) to the hit, or as far as the beam is known to be free.
         returned: (n,) whether there was a hit.
@@ -24,7 +23,6 @@ class Beams(NamedTuple):
         spacing_m: (h,) distance that one angular step spans at each hit.
     """
 
-    origin: NDArray[np.float64]
     direction: NDArray[np.float64]
     length_m: NDArray[np.float64]
     returned: NDArray[np.bool_]
@@ -38,6 +36,8 @@ def beams_of(
     pose: tuple[float, float],
     angles_rad: tuple[float, float],
     limits_m: tuple[float, float, float],
+    direction: NDArray[np.float64],
+    length_m: NDArray[np.float64],
 ) -> Beams:
     """Beams that returned, and those known to be free.
 
@@ -46,10 +46,10 @@ def beams_of(
         pose: of the sensor, x and y. angles_rad: of the first beam in the map frame, and the step.
         limits_m: nearest and farthest hit, compared as float32, as they travel; and where beams
             are cut: a hit beyond says that all before it is free.
+        direction: (>= n, 2), length_m: (>= n,) room for those of the beams.
     """
     n = len(ranges_m)
     (x_m, y_m), (first_rad, step_rad), limit_m = pose, angles_rad, limits_m[2]
-    direction, length_m = np.empty((n, 2)), np.empty(n)
     returned, hits, spacing_m = np.empty(n, np.bool_), np.empty((n, 2)), np.empty(n)
     nearest, farthest = np.float32(limits_m[0]), np.float32(limits_m[1])
     used, back = 0, 0
@@ -69,10 +69,7 @@ def beams_of(
             hits[back, 0], hits[back, 1] = x_m + length * ux, y_m + length * uy
             spacing_m[back] = length * abs(step_rad)
             back += 1
-    origin = np.array([x_m, y_m])
-    return Beams(
-        origin, direction[:used], length_m[:used], returned[:used], hits[:back], spacing_m[:back]
-    )
+    return Beams(direction[:used], length_m[:used], returned[:used], hits[:back], spacing_m[:back])
 
 
 @compiled

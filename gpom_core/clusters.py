@@ -9,10 +9,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import carray
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, inlined
 from gpom_core.lines import principal_axis
+from gpom_core.pointers import pointer
 from gpom_core.rows import NONE, Rows, attach, cell_key, detach, find
 from gpom_core.tiles import HIT, TILE_CELLS, TILE_SHIFT, Tiles, place_in_tile
 
@@ -55,6 +57,22 @@ def new_clusters(capacity: int = 256) -> Clusters:
         fresh=np.zeros(capacity, np.int32),
         revision=np.zeros(capacity, np.int64),
         size=np.zeros(1, np.int64),
+    )
+
+
+@compiled
+def clusters_at(handle: NDArray[np.int64]) -> Clusters:
+    """The clusters behind a handle, see `gpom_core.handles`."""
+    capacity = handle[0, 1]
+    return Clusters(
+        carray(pointer(handle[0, 0]), capacity, np.int32),
+        carray(pointer(handle[1, 0]), capacity, np.int32),
+        carray(pointer(handle[2, 0]), (capacity, 2), np.float64),
+        carray(pointer(handle[3, 0]), (capacity, 6), np.float64),
+        carray(pointer(handle[4, 0]), capacity, np.float64),
+        carray(pointer(handle[5, 0]), capacity, np.int32),
+        carray(pointer(handle[6, 0]), capacity, np.int64),
+        carray(pointer(handle[7, 0]), 1, np.int64),
     )
 
 

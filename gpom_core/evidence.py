@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from operator import is_
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core import areas, beams, clusters, news, open_space, rows, tiles
+from gpom_core import clusters, news, rows, sight, tiles
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
+from gpom_core.handles import handle
+from gpom_core.integrate import integrate
 from gpom_core.observations import Seen, Weighing, observe
 from gpom_core.scan import Scan
-from gpom_core.sight import Rules, Sight, see
 
 
-@dataclass(frozen=True, slots=True)
-class UpdateReport:
+class UpdateReport(NamedTuple):
     """What one scan brought: its hits, and how many rows of evidence are new."""
 
     hits: int
@@ -28,11 +29,14 @@ class Evidence:
 
     def __init__(self, config: MapConfig) -> None:
         self.config = config
-        self._rules = Rules(*(float(getattr(config, name)) for name in Rules._fields))
+        self._rules = tuple(float(getattr(config, name)) for name in sight.Rules._fields)
         self._weighing = Weighing(*(getattr(config, name) for name in Weighing._fields))
         self.rows = rows.new_rows()
         self.tiles = tiles.new_tiles()
         self.clusters = clusters.new_clusters()
+        self._sight = sight.new_sight()
+        self._known: tuple[object, ...] = ()
+        self._addresses: list[NDArray[np.int64]] = []
 
     @property
     def observation_count(self) -> int:
@@ -45,75 +49,46 @@ class Evidence:
         Raises:
             InvalidScanError: the scan lies where the lattice has no cells; nothing was changed.
         """
-        limit_m = min(scan.range_max_m, self.config.max_range_m)
-        self._check_place(scan, limit_m)
-        before, clusters_before = self.observation_count, int(self.clusters.size[0])
-        n = len(scan.ranges_m)
-        self._make_room(n, n)
-        self.clusters = clusters.with_room(self.clusters, n + 1)
-        seen = see(
-            scan.ranges_m,
-            (scan.pose.x_m, scan.pose.y_m),
-            (scan.pose.yaw_rad + scan.angle_min_rad, scan.angle_increment_rad),
-            (scan.range_min_m, scan.range_max_m, limit_m),
-            self._rules, self.rows, self.tiles, self.clusters,
-        )  # fmt: skip
-        close = int(self.tiles.size[tiles.CLOSE])
-        if close:
-            self._make_room(close * tiles.TILE_AREA, 0)
-            open_space.divide_close(
-                self.rows, self.tiles, self.clusters,
-                self.config.cell_m, self.config.near_surface_m,
+        config, ranges_m = self.config, scan.ranges_m
+        x_m, y_m, yaw_rad = scan.pose
+        limits_m = scan.range_min_m, scan.range_max_m, min(scan.range_max_m, config.max_range_m)
+        if max(abs(x_m), abs(y_m)) + limits_m[2] > rows.COORDINATE_LIMIT * config.hit_cell_m:
+            raise self._too_far(scan)
+        done, new = False, True
+        while not done:
+            done, hits, added, long = integrate(
+                new, ranges_m, (x_m, y_m), (yaw_rad + scan.angle_min_rad, scan.angle_increment_rad),
+                limits_m, self._rules, config.free_evidence == "segments", *self._handles(),
             )  # fmt: skip
-        self._absorb_free(seen)
-        self._forget_unused(clusters_before)
-        if len(seen.long):
-            self._split_long(seen.long)
-        return UpdateReport(seen.hits, self.observation_count - before)
+            if not done:
+                self._make_room(len(ranges_m))
+            new = False
+        if long:
+            self._split_long(self._sight.long[:long])
+        return UpdateReport(hits, added)
 
-    def _check_place(self, scan: Scan, limit_m: float) -> None:
-        farthest_m = max(abs(scan.pose.x_m), abs(scan.pose.y_m)) + limit_m
-        if farthest_m > rows.COORDINATE_LIMIT * self.config.hit_cell_m:
-            raise InvalidScanError(
-                "pose_out_of_range",
-                f"the sensor is at {tuple(scan.pose)[:2]}, farther from the origin than the map's "
-                f"lattice of {self.config.hit_cell_m} m cells can address; use a map frame near "
-                "the site",
-            )
+    def _too_far(self, scan: Scan) -> InvalidScanError:
+        return InvalidScanError(
+            "pose_out_of_range",
+            f"the sensor is at {tuple(scan.pose)[:2]}, farther from the origin than the map's "
+            f"lattice of {self.config.hit_cell_m} m cells can address; use a map frame near "
+            "the site",
+        )
 
-    def _make_room(self, new_rows: int, new_tiles: int) -> None:
+    def _handles(self) -> list[NDArray[np.int64]]:
+        """Addresses of all arrays, found anew when others are in their place."""
+        held = self.rows, self.tiles, self.clusters, self._sight
+        if not (self._known and all(map(is_, held, self._known))):
+            self._known, self._addresses = held, [handle(arrays) for arrays in held]
+        return self._addresses
+
+    def _make_room(self, beams: int) -> None:
+        """For what the sight says is needed, and so many beams."""
+        new_rows, new_tiles, new_clusters, window = self._sight.progress[sight.NEEDED :].tolist()
         self.rows = rows.with_room(self.rows, new_rows)
         self.tiles = tiles.with_room(self.tiles, new_tiles)
-
-    def _absorb_free(self, seen: Sight) -> None:
-        """Free evidence goes with its beam's hit, or with the most similar beam's."""
-        c = self.config
-        if c.free_evidence == "segments":
-            pieces = np.ceil(np.maximum(seen.free_m, 0.0) / c.segment_m)
-            self._make_room(int(pieces.sum()), 0)
-            beams.absorb_free_segments(
-                seen.origin, seen.direction, seen.free_m, seen.homes, self.rows, self.clusters,
-                c.segment_m, 0.5 * c.segment_m, c.free_cap,
-            )  # fmt: skip
-            return
-        start = 0, 0
-        while start[0] != rows.NONE:
-            start = areas.absorb_free_areas(
-                start, seen.origin, seen.direction, seen.free_m, seen.homes,
-                self.rows, self.tiles, self.clusters, c.cell_m, c.near_surface_m,
-                c.coarse_levels >= tiles.TILE_SHIFT, c.free_cap,
-                c.hit_cap, (c.free_noise_std / c.hit_noise_std) ** 2,
-            )  # fmt: skip
-            if start[0] != rows.NONE:
-                self._make_room(tiles.TILE_AREA, 1)
-                self.clusters = clusters.with_room(self.clusters, 1)
-
-    def _forget_unused(self, before: int) -> None:
-        """Give back the numbers of clusters founded in vain: all they saw was known already."""
-        size = int(self.clusters.size[0])
-        while size > before and self.clusters.rows[size - 1] == 0:
-            size -= 1
-        self.clusters.size[0] = size
+        self.clusters = clusters.with_room(self.clusters, new_clusters)
+        self._sight = sight.with_room(self._sight, beams, window)
 
     def _split_long(self, long: NDArray[np.int32]) -> None:
         waiting = long.tolist()

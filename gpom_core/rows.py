@@ -11,9 +11,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import carray
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, inlined
+from gpom_core.pointers import pointer
 
 NONE = -1
 POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
@@ -67,6 +69,26 @@ def new_rows(capacity: int = 4096) -> Rows:
         before=np.full(capacity, NONE, np.int32),
         after=np.full(capacity, NONE, np.int32),
         size=np.zeros(1, np.int64),
+    )
+
+
+@compiled
+def rows_at(handle: NDArray[np.int64]) -> Rows:
+    """The rows behind a handle, see `gpom_core.handles`."""
+    capacity = handle[1, 1]
+    return Rows(
+        carray(pointer(handle[0, 0]), handle[0, 1], np.int32),
+        carray(pointer(handle[1, 0]), (capacity, 2), np.int64),
+        carray(pointer(handle[2, 0]), capacity, np.uint8),
+        carray(pointer(handle[3, 0]), (capacity, 2, 2), np.float64),
+        carray(pointer(handle[4, 0]), capacity, np.float64),
+        carray(pointer(handle[5, 0]), capacity, np.float64),
+        carray(pointer(handle[6, 0]), capacity, np.uint8),
+        carray(pointer(handle[7, 0]), capacity, np.float64),
+        carray(pointer(handle[8, 0]), capacity, np.int32),
+        carray(pointer(handle[9, 0]), capacity, np.int32),
+        carray(pointer(handle[10, 0]), capacity, np.int32),
+        carray(pointer(handle[11, 0]), 1, np.int64),
     )
 
 

@@ -83,9 +83,9 @@ class Scan:
         """Bring every field to its type, then check it."""
         _coerce(self)
         _check_arrays(self)
-        _check_pose(self.pose)
-        _check_counters(self)
-        _check_float32_fields(self)
+        check_fields(
+            self.pose, self.boot, self.seq, self.stamp_ns, _as_float32(self), self.ranges_m.size
+        )
 
     def beam_angles_rad(self) -> NDArray[np.float64]:
         """Directions of the beams in the map frame, (n,), not wrapped."""
@@ -155,82 +155,131 @@ def _check_arrays(scan: Scan) -> None:
         raise InvalidScanError("bad_intensity_count", message)
 
 
-def _check_pose(pose: Pose2D) -> None:
-    if not all(map(isfinite, pose)):
-        message = f"the pose {tuple(pose)} is not finite; send the scan once its pose is known"
-        raise InvalidScanError("non_finite_pose", message)
-    if (
-        max(abs(pose.x_m), abs(pose.y_m)) > MAX_ABS_POSITION_M
-        or abs(pose.yaw_rad) > MAX_ABS_YAW_RAD
-    ):
-        message = (
-            f"the pose {tuple(pose)} is out of range; expected |x| and |y| up to "
-            f"{MAX_ABS_POSITION_M:g} m and |yaw| up to {MAX_ABS_YAW_RAD:g} rad"
-        )
-        raise InvalidScanError("pose_out_of_range", message)
-
-
-def _check_counters(scan: Scan) -> None:
-    if not (0 <= scan.boot < _BOOT_END and 0 <= scan.seq < _SEQ_END):
-        message = (
-            f"boot {scan.boot} and seq {scan.seq} are implausible; expected below 2^63 - 1 and 2^48"
-        )
-        raise InvalidScanError("bad_sequence", message)
-    if not -_INT64_END <= scan.stamp_ns < _INT64_END:
-        message = f"stamp {scan.stamp_ns} ns must be a signed 64-bit number"
-        raise InvalidScanError("bad_stamp", message)
-
-
-def _check_float32_fields(scan: Scan) -> None:
+def _as_float32(scan: Scan) -> tuple[float, ...]:
+    """The fields that travel as float32, as they arrive."""
     if len(scan.pose_covariance) != 6:
         message = f"the pose covariance has {len(scan.pose_covariance)} numbers; expected 6"
         raise InvalidScanError("bad_covariance", message)
     try:
         packed = _FLOAT32_FIELDS.pack(
+            *scan.pose_covariance,
             scan.angle_min_rad,
             scan.angle_increment_rad,
+            scan.time_increment_s,
             scan.range_min_m,
             scan.range_max_m,
-            scan.time_increment_s,
             scan.scan_time_s,
-            *scan.pose_covariance,
         )
     except OverflowError as error:
         message = "an angle, range limit, time or covariance is too large for a 32-bit float"
         raise InvalidScanError("too_large", message) from error
-    angle_min, increment, range_min, range_max, *others = _FLOAT32_FIELDS.unpack(packed)
-    _check_angles(angle_min, increment, scan.ranges_m.size)
-    _check_range_limits(range_min, range_max)
-    if not all(map(isfinite, others[:2])):
-        message = f"time increment and scan time {tuple(others[:2])} s must be finite"
-        raise InvalidScanError("non_finite_time", message)
-    if not all(map(isfinite, others[2:])):
-        message = f"the pose covariance {tuple(others[2:])} must be finite; zeros mean unknown"
-        raise InvalidScanError("bad_covariance", message)
+    return _FLOAT32_FIELDS.unpack(packed)
 
 
-def _check_angles(angle_min_rad: float, angle_increment_rad: float, beams: int) -> None:
-    if not (isfinite(angle_min_rad) and isfinite(angle_increment_rad)):
+def check_fields(
+    pose: tuple[float, ...],
+    boot: int,
+    seq: int,
+    stamp_ns: int,
+    float32: tuple[float, ...],
+    beams: int,
+) -> None:
+    """Check all of a scan but its arrays. Chained comparisons refuse NaN as well.
+
+    Args:
+        pose: x, y, yaw. float32: the six of the covariance, angle_min, angle_increment,
+            time_increment, range_min, range_max, scan_time, as float32 holds them.
+
+    Raises:
+        InvalidScanError: a value is out of range; ``reason`` says which.
+    """
+    x, y, yaw = pose
+    if not (
+        -MAX_ABS_POSITION_M <= x <= MAX_ABS_POSITION_M
+        and -MAX_ABS_POSITION_M <= y <= MAX_ABS_POSITION_M
+        and -MAX_ABS_YAW_RAD <= yaw <= MAX_ABS_YAW_RAD
+    ):
+        raise _bad_pose(pose)
+    if not (0 <= boot < _BOOT_END and 0 <= seq < _SEQ_END):
+        message = f"boot {boot} and seq {seq} are implausible; expected below 2^63 - 1 and 2^48"
+        raise InvalidScanError("bad_sequence", message)
+    if not -_INT64_END <= stamp_ns < _INT64_END:
+        message = f"stamp {stamp_ns} ns must be a signed 64-bit number"
+        raise InvalidScanError("bad_stamp", message)
+    _, _, _, _, _, _, first_rad, step_rad, time_increment, range_min, range_max, scan_time = float32
+    last_rad = first_rad + step_rad * (beams - 1)
+    if not (
+        -MAX_ABS_ANGLE_RAD <= first_rad <= MAX_ABS_ANGLE_RAD
+        and -MAX_ABS_ANGLE_RAD <= last_rad <= MAX_ABS_ANGLE_RAD
+        and (step_rad != 0.0 or beams == 1)
+    ):
+        raise _bad_angles(first_rad, step_rad, beams)
+    if not 0.0 <= range_min < range_max <= MAX_RANGE_M:
         message = (
-            f"angle_min {angle_min_rad} and angle_increment {angle_increment_rad} must be finite"
-        )
-        raise InvalidScanError("non_finite_angle", message)
-    if angle_increment_rad == 0.0 and beams > 1:
-        message = f"angle_increment is zero, so all {beams} beams coincide; expected a step in rad"
-        raise InvalidScanError("zero_angle_increment", message)
-    last_rad = angle_min_rad + angle_increment_rad * (beams - 1)
-    if max(abs(angle_min_rad), abs(last_rad)) > MAX_ABS_ANGLE_RAD:
-        message = (
-            f"beams go from {angle_min_rad:g} to {last_rad:g} rad; expected both within "
-            f"{MAX_ABS_ANGLE_RAD:g} rad of zero"
-        )
-        raise InvalidScanError("angle_out_of_range", message)
-
-
-def _check_range_limits(range_min_m: float, range_max_m: float) -> None:
-    if not 0.0 <= range_min_m < range_max_m <= MAX_RANGE_M:
-        message = (
-            f"range limits {range_min_m:g} to {range_max_m:g} m; expected "
+            f"range limits {range_min:g} to {range_max:g} m; expected "
             f"0 <= range_min < range_max <= {MAX_RANGE_M:g} m"
         )
         raise InvalidScanError("bad_range_limits", message)
+    if not (isfinite(time_increment) and isfinite(scan_time)):
+        message = f"time increment and scan time {(time_increment, scan_time)} s must be finite"
+        raise InvalidScanError("non_finite_time", message)
+    if not isfinite(sum(float32[:6])):  # of float32, which cannot overflow
+        message = f"the pose covariance {float32[:6]} must be finite; zeros mean unknown"
+        raise InvalidScanError("bad_covariance", message)
+
+
+def _bad_pose(pose: tuple[float, ...]) -> InvalidScanError:
+    if not all(map(isfinite, pose)):
+        message = f"the pose {tuple(pose)} is not finite; send the scan once its pose is known"
+        return InvalidScanError("non_finite_pose", message)
+    message = (
+        f"the pose {tuple(pose)} is out of range; expected |x| and |y| up to "
+        f"{MAX_ABS_POSITION_M:g} m and |yaw| up to {MAX_ABS_YAW_RAD:g} rad"
+    )
+    return InvalidScanError("pose_out_of_range", message)
+
+
+def _bad_angles(first_rad: float, step_rad: float, beams: int) -> InvalidScanError:
+    if not (isfinite(first_rad) and isfinite(step_rad)):
+        message = f"angle_min {first_rad} and angle_increment {step_rad} must be finite"
+        return InvalidScanError("non_finite_angle", message)
+    if step_rad == 0.0 and beams > 1:
+        message = f"angle_increment is zero, so all {beams} beams coincide; expected a step in rad"
+        return InvalidScanError("zero_angle_increment", message)
+    message = (
+        f"beams go from {first_rad:g} to {first_rad + step_rad * (beams - 1):g} rad; expected both "
+        f"within {MAX_ABS_ANGLE_RAD:g} rad of zero"
+    )
+    return InvalidScanError("angle_out_of_range", message)
+
+
+def assemble(
+    pose: Pose2D,
+    ranges_m: NDArray[np.float32],
+    intensities: NDArray[np.float32] | None,
+    stream: tuple[int, int, int, bool],
+    float32: tuple[float, ...],
+) -> Scan:
+    """A scan of values that `check_fields` passed and that have their types already.
+
+    Args:
+        ranges_m, intensities: (n,) read-only. stream: stamp, boot, seq, reliable.
+        float32: as in `check_fields`.
+    """
+    scan = object.__new__(Scan)
+    put = object.__setattr__  # as the dataclass does; it would then coerce and check again
+    put(scan, "pose", pose)
+    put(scan, "ranges_m", ranges_m)
+    put(scan, "angle_min_rad", float32[6])
+    put(scan, "angle_increment_rad", float32[7])
+    put(scan, "range_min_m", float32[9])
+    put(scan, "range_max_m", float32[10])
+    put(scan, "stamp_ns", stream[0])
+    put(scan, "boot", stream[1])
+    put(scan, "seq", stream[2])
+    put(scan, "reliable", stream[3])
+    put(scan, "time_increment_s", float32[8])
+    put(scan, "scan_time_s", float32[11])
+    put(scan, "pose_covariance", float32[:6])
+    put(scan, "intensities", intensities)
+    return scan

@@ -9,9 +9,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba import carray
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled, inlined
+from gpom_core.pointers import pointer
 from gpom_core.rows import NONE, cell_key, find_or_add, table_size
 
 TILE_SHIFT = 3
@@ -65,6 +67,25 @@ def new_tiles(capacity: int = 256) -> Tiles:
         passed=np.zeros((capacity, TILE_AREA)),
         close=np.zeros(capacity, np.int32),
         size=np.zeros(2, np.int64),
+    )
+
+
+@compiled
+def tiles_at(handle: NDArray[np.int64]) -> Tiles:
+    """The tiles behind a handle, see `gpom_core.handles`."""
+    capacity = handle[1, 1]
+    return Tiles(
+        carray(pointer(handle[0, 0]), handle[0, 1], np.int32),
+        carray(pointer(handle[1, 0]), (capacity, 2), np.int64),
+        carray(pointer(handle[2, 0]), (capacity, TILE_AREA), np.int32),
+        carray(pointer(handle[3, 0]), (capacity, TILE_AREA), np.int32),
+        carray(pointer(handle[4, 0]), (capacity, 2), np.int32),
+        carray(pointer(handle[5, 0]), capacity, np.float64),
+        carray(pointer(handle[6, 0]), capacity, np.int32),
+        carray(pointer(handle[7, 0]), capacity, np.int32),
+        carray(pointer(handle[8, 0]), (capacity, TILE_AREA), np.float64),
+        carray(pointer(handle[9, 0]), capacity, np.int32),
+        carray(pointer(handle[10, 0]), 2, np.int64),
     )
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.jit import compiled
-from gpom_core.rows import NONE
 from gpom_core.tiles import TILE_AREA, TILE_CELLS, place_in_tile
 
 WINDOW_TILES = 128  # each way; beams that go farther are walked window by window
@@ -61,6 +60,24 @@ def span(
 
 
 @compiled
+def window_room(shape: tuple[int, int]) -> int:
+    """Tiles of the largest window for beams that span so many, x and y."""
+    return min(shape[0], WINDOW_TILES) * min(shape[1], WINDOW_TILES)
+
+
+@compiled
+def crossed_in(
+    corner: tuple[int, int],
+    shape: tuple[int, int],
+    length_m: NDArray[np.float64],
+    beam: NDArray[np.int32],
+) -> Crossed:
+    """What `walk` added up in a window."""
+    w = shape[0] * shape[1]
+    return Crossed(corner, shape[1], length_m[: w * TILE_AREA].reshape(w, TILE_AREA), beam[:w])
+
+
+@compiled
 def _steps_to(n: int, along_x: bool, breadth: int) -> NDArray[np.int64]:
     """Place of cell i - 1 in the window, as far as one axis says; both ends are there twice.
 
@@ -85,7 +102,9 @@ def walk(
     corner: tuple[int, int],
     shape: tuple[int, int],
     cell_m: float,
-) -> Crossed:
+    length_m: NDArray[np.float64],
+    beam: NDArray[np.int32],
+) -> None:
     """Add up how far beams go through each cell of a window.
 
     Cell walking after Amanatides & Woo, "A fast voxel traversal algorithm" (1987), without a
@@ -94,9 +113,8 @@ def walk(
     Args:
         origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
         corner: index of the lowest tile of the window. shape: tiles along x and y.
+        length_m: (>= 64 w,) and beam: (>= w,) of the window's w tiles, see `Crossed`.
     """
-    length_m = np.zeros(shape[0] * shape[1] * TILE_AREA)
-    beam = np.full(shape[0] * shape[1], NONE, np.int32)
     column, row = _steps_to(shape[0], True, shape[1]), _steps_to(shape[1], False, shape[1])
     cells_x, cells_y = shape[0] * TILE_CELLS, shape[1] * TILE_CELLS
     first_x, first_y = corner[0] * TILE_CELLS, corner[1] * TILE_CELLS
@@ -126,7 +144,6 @@ def walk(
             iy += 0 if x_first else sy
             next_x += step_x if x_first else 0.0
             next_y += 0.0 if x_first else step_y
-    return Crossed(corner, shape[1], length_m.reshape(-1, TILE_AREA), beam)
 
 
 @compiled

@@ -20,12 +20,13 @@ A higher major is refused. A higher minor only appends header fields, which are 
 
 import struct
 import zlib
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.errors import InvalidScanError
-from gpom_core.scan import Pose2D, Scan
+from gpom_core.scan import Pose2D, Scan, assemble, check_fields
 
 MAGIC = b"GPOM"
 MAJOR = 1
@@ -35,15 +36,13 @@ DEFAULT_MAX_BEAMS = 65_536
 ENCODING = "application/x-gpom-scan;v=1"
 
 _HEADER = struct.Struct("<4sBBHIIQQqddd6fffffffII")
-_PREFIX = struct.Struct("<4sBBHIIQQ")
 _CRC = struct.Struct("<I")
 _SEQUENCE = struct.Struct("<QQ")
 _SEQUENCE_OFFSET = 16
-_COUNT = struct.Struct("<I")
-_COUNT_OFFSET = 112
 _CRC_OFFSET = 116
 _RELIABLE = 1 << 0
 _VALUE_BYTES = 4
+_WIRE_FLOAT: np.dtype[np.float32] = np.dtype("<f4")
 
 
 def encode(scan: Scan) -> bytes:
@@ -94,29 +93,18 @@ def decode(payload: bytes, *, max_beams: int = DEFAULT_MAX_BEAMS) -> Scan:
     Raises:
         InvalidScanError: malformed, corrupt or of another version; ``reason`` says which.
     """
-    body_start, beams, intensities = _check_frame(payload, max_beams)
-    fields = _HEADER.unpack_from(payload)
-    flags, boot, seq, stamp_ns = fields[4], *fields[6:9]
-    angle_min, angle_increment, time_increment, range_min, range_max, scan_time = fields[18:24]
+    fields = _check_frame(payload, max_beams)
+    body_start, flags, beams, boot, seq, stamp_ns = fields[3:9]
     reliable = bool(flags & _RELIABLE)
     _check_sequence(reliable, seq)
-    return Scan(
-        pose=Pose2D(*fields[9:12]),
-        ranges_m=_view(payload, body_start, beams),
-        angle_min_rad=angle_min,
-        angle_increment_rad=angle_increment,
-        range_min_m=range_min,
-        range_max_m=range_max,
-        stamp_ns=stamp_ns,
-        boot=boot,
-        seq=seq,
-        reliable=reliable,
-        time_increment_s=time_increment,
-        scan_time_s=scan_time,
-        pose_covariance=fields[12:18],
-        intensities=_view(payload, body_start + _VALUE_BYTES * beams, intensities)
-        if intensities
-        else None,
+    pose, float32, intensities = Pose2D(*fields[9:12]), fields[12:24], fields[24]
+    check_fields(pose, boot, seq, stamp_ns, float32, beams)
+    return assemble(
+        pose,
+        _view(payload, body_start, beams),
+        _view(payload, body_start + _VALUE_BYTES * beams, intensities) if intensities else None,
+        (stamp_ns, boot, seq, reliable),
+        float32,
     )
 
 
@@ -133,58 +121,50 @@ def renumber(payload: bytes, boot: int, seq: int) -> bytes:
     return bytes(header) + body
 
 
-def _check_frame(payload: bytes, max_beams: int) -> tuple[int, int, int]:
-    """Check all that holds the payload together; give body offset, beams and intensities."""
-    if len(payload) < HEADER_LENGTH:
-        message = f"{len(payload)} bytes; expected at least the header of {HEADER_LENGTH}"
+def _check_frame(payload: bytes, max_beams: int) -> tuple[Any, ...]:
+    """Check all that holds the payload together; give the fields of the header."""
+    size = len(payload)
+    if size < HEADER_LENGTH:
+        message = f"{size} bytes; expected at least the header of {HEADER_LENGTH}"
         raise InvalidScanError("truncated", message)
-    magic, major, minor, header_length, _, beams, _, _ = _PREFIX.unpack_from(payload)
-    _check_version(magic, major, minor, header_length)
-    (intensities,) = _COUNT.unpack_from(payload, _COUNT_OFFSET)
-    _check_counts(beams, intensities, max_beams)
-    _check_size(len(payload), header_length + _VALUE_BYTES * (beams + intensities))
-    _check_crc(payload, header_length)
-    return header_length, beams, intensities
-
-
-def _check_version(magic: bytes, major: int, minor: int, header_length: int) -> None:
-    if magic != MAGIC:
-        raise InvalidScanError("bad_magic", f"starts with {magic!r}; expected {MAGIC!r}")
-    if major != MAJOR:
-        message = f"format {major}.{minor}; expected major {MAJOR}: use matching releases of gpom"
-        raise InvalidScanError("unsupported_version", message)
-    if header_length < HEADER_LENGTH:
-        message = f"header length {header_length}; expected at least {HEADER_LENGTH}"
-        raise InvalidScanError("bad_header_length", message)
-
-
-def _check_counts(beams: int, intensities: int, max_beams: int) -> None:
-    if beams == 0:
-        raise InvalidScanError("no_beams", "the scan has no beams; expected at least one")
-    if beams > max_beams:
-        message = f"{beams} beams; at most {max_beams} are allowed here"
-        raise InvalidScanError("too_many_beams", message)
-    if intensities not in (0, beams):
-        message = f"{intensities} intensities; expected 0 or one for each of {beams} beams"
-        raise InvalidScanError("bad_intensity_count", message)
-
-
-def _check_size(actual: int, expected: int) -> None:
-    if actual < expected:
-        message = f"{actual} bytes; expected {expected} from the counts in the header"
-        raise InvalidScanError("truncated", message)
-    if actual > expected:
-        message = f"{actual} bytes; expected {expected} from the counts in the header"
-        raise InvalidScanError("trailing_bytes", message)
-
-
-def _check_crc(payload: bytes, header_length: int) -> None:
+    fields = _HEADER.unpack_from(payload)
+    magic, major, minor, header_length, _, beams = fields[:6]
+    intensities, stated = fields[24:]
+    if not (magic == MAGIC and major == MAJOR and header_length >= HEADER_LENGTH):
+        raise _bad_version(magic, major, minor, header_length)
+    if not (0 < beams <= max_beams and intensities in (0, beams)):
+        raise _bad_counts(beams, intensities, max_beams)
+    expected = header_length + _VALUE_BYTES * (beams + intensities)
+    if size != expected:
+        message = f"{size} bytes; expected {expected} from the counts in the header"
+        raise InvalidScanError("truncated" if size < expected else "trailing_bytes", message)
     view = memoryview(payload)
-    (stated,) = _CRC.unpack_from(payload, _CRC_OFFSET)
     computed = zlib.crc32(view[header_length:], zlib.crc32(view[:_CRC_OFFSET]))
     if computed != stated:
         message = f"CRC-32 {computed:08x} of the content; the header states {stated:08x}"
         raise InvalidScanError("bad_crc", message)
+    return fields
+
+
+def _bad_version(magic: bytes, major: int, minor: int, header_length: int) -> InvalidScanError:
+    if magic != MAGIC:
+        return InvalidScanError("bad_magic", f"starts with {magic!r}; expected {MAGIC!r}")
+    if major != MAJOR:
+        message = f"format {major}.{minor}; expected major {MAJOR}: use matching releases of gpom"
+        return InvalidScanError("unsupported_version", message)
+    message = f"header length {header_length}; expected at least {HEADER_LENGTH}"
+    return InvalidScanError("bad_header_length", message)
+
+
+def _bad_counts(beams: int, intensities: int, max_beams: int) -> InvalidScanError:
+    if beams == 0:
+        message = "the scan has no beams; expected at least one"
+        return InvalidScanError("no_beams", message)
+    if beams > max_beams:
+        message = f"{beams} beams; at most {max_beams} are allowed here"
+        return InvalidScanError("too_many_beams", message)
+    message = f"{intensities} intensities; expected 0 or one for each of {beams} beams"
+    return InvalidScanError("bad_intensity_count", message)
 
 
 def _check_sequence(reliable: bool, seq: int) -> None:
@@ -198,8 +178,9 @@ def _to_bytes(values: NDArray[np.float32]) -> bytes:
 
 
 def _view(payload: bytes, offset: int, count: int) -> NDArray[np.float32]:
-    values = np.frombuffer(payload, dtype="<f4", count=count, offset=offset)
-    # A longer header may leave the body unaligned; compiled loops want native, aligned numbers.
-    result = values.astype(np.float32, copy=not values.flags.aligned)
-    result.flags.writeable = False
-    return result
+    values = np.frombuffer(payload, _WIRE_FLOAT, count, offset)
+    if not (_WIRE_FLOAT.isnative and values.flags.aligned):
+        # A longer header may leave the body unaligned; compiled loops want native, aligned numbers.
+        values = values.astype(np.float32)
+    values.flags.writeable = False
+    return values

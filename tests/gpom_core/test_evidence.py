@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gpom_core.clusters import new_clusters
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.evidence import Evidence, UpdateReport
 from gpom_core.kernels import Kind, gram
-from gpom_core.rows import BOX, POINT
+from gpom_core.rows import BOX, NONE, POINT, new_rows
 from gpom_core.scan import Pose2D
+from gpom_core.sight import new_sight
+from gpom_core.tiles import new_tiles
 from tests.gpom_core.synthetic import assert_consistent, evidence_by_key, look, scan_of, tour
 
 MODES = ["areas", "segments"]
@@ -86,6 +89,51 @@ def test_hits_beyond_the_range_of_the_map_are_free_up_to_there() -> None:
 def test_beams_are_free_no_farther_than_the_scanner_sees() -> None:
     evidence = evidence_of(scan_of([np.inf], first=0.0, step=0.01, range_max=2.0))
     assert evidence.rows.count[of_kind(evidence, BOX)].sum() == pytest.approx(20.0)
+
+
+def cramped(config: MapConfig) -> Evidence:
+    """With room for next to nothing: arrays grow in the middle of scans."""
+    evidence = Evidence(config)
+    evidence.rows, evidence.tiles = new_rows(1), new_tiles(1)
+    evidence.clusters, evidence._sight = new_clusters(1), new_sight(1, 1)
+    return evidence
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_arrays_that_grow_in_the_middle_of_a_scan_change_nothing(mode: str) -> None:
+    config = MapConfig(free_evidence=mode)
+    roomy, tight = Evidence(config), cramped(config)
+    for scan in [scan_of([np.inf] * 9, 2.0, 1.0), *tour(12)]:  # open space that walls come near to
+        assert roomy.add(scan) == tight.add(scan)
+    assert state(roomy) == state(tight)
+    assert_consistent(tight)
+
+
+def test_a_scan_given_up_for_want_of_memory_leaves_nothing_to_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    first, second = tour(2)
+    evidence = cramped(MapConfig())
+    grow, turns = evidence._make_room, []
+
+    def refuse(beams: int) -> None:
+        turns.append(beams)
+        if len(turns) == 6:  # tiles were walked, and some of them counted
+            raise MemoryError
+        grow(beams)
+
+    monkeypatch.setattr(evidence, "_make_room", refuse)
+    with pytest.raises(MemoryError):
+        evidence.add(first)
+    monkeypatch.undo()
+    assert (evidence._sight.last != NONE).any()
+
+    def length(evidence: Evidence) -> float:
+        return float(evidence.rows.count[of_kind(evidence, BOX)].sum())
+
+    before = length(evidence)
+    evidence.add(second)
+    assert length(evidence) - before == pytest.approx(length(evidence_of(second)), rel=1e-9)
 
 
 def test_beams_longer_than_a_window_are_counted_whole() -> None:

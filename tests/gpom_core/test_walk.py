@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from gpom_core.tiles import TILE_CELLS
-from gpom_core.walk import Crossed, span, walk
+from gpom_core.rows import NONE
+from gpom_core.tiles import TILE_AREA, TILE_CELLS
+from gpom_core.walk import WINDOW_TILES, Crossed, crossed_in, span, walk, window_room
 
 CELL_M = 0.1
 Beams = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -29,9 +30,16 @@ def cells(crossed: Crossed) -> dict[tuple[int, int], float]:
     return out
 
 
+def walked(beams: Beams, corner: tuple[int, int], shape: tuple[int, int]) -> Crossed:
+    tiles = shape[0] * shape[1]
+    room = np.zeros((tiles + 3) * TILE_AREA), np.full(tiles + 3, NONE, np.int32)
+    walk(*beams, corner, shape, CELL_M, *room)
+    return crossed_in(corner, shape, *room)
+
+
 def whole(beams: Beams) -> Crossed:
     tx, ty, nx, ny = span(*beams, CELL_M)
-    return walk(*beams, (tx, ty), (nx, ny), CELL_M)
+    return walked(beams, (tx, ty), (nx, ny))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -64,7 +72,7 @@ def test_windows_side_by_side_see_what_one_window_sees(seed: int) -> None:
     for x in range(0, nx, 3):
         for y in range(0, ny, 5):
             shape = (min(3, nx - x), min(5, ny - y))
-            part = cells(walk(*beams, (tx + x, ty + y), shape, CELL_M))
+            part = cells(walked(beams, (tx + x, ty + y), shape))
             assert not part.keys() & together.keys()
             together |= part
     expected = cells(whole(beams))
@@ -77,8 +85,8 @@ def test_a_tile_knows_the_last_beam_that_went_through(seed: int) -> None:
     origin, direction, free_m = beams = star(seed)
     crossed = whole(beams)
     alone = [
-        walk(origin, direction[b : b + 1], free_m[b : b + 1], crossed.corner,
-             (len(crossed.beam) // crossed.breadth, crossed.breadth), CELL_M)
+        walked((origin, direction[b : b + 1], free_m[b : b + 1]), crossed.corner,
+               (len(crossed.beam) // crossed.breadth, crossed.breadth))
         for b in range(len(free_m))
     ]  # fmt: skip
     for w, beam in enumerate(crossed.beam):
@@ -89,3 +97,13 @@ def test_a_tile_knows_the_last_beam_that_went_through(seed: int) -> None:
 def test_no_free_beams_span_nothing() -> None:
     origin, direction, free_m = star(0)
     assert span(origin, direction, -abs(free_m), CELL_M) == (0, 0, 0, 0)
+
+
+@pytest.mark.parametrize("shape", [(0, 0), (3, 5), (WINDOW_TILES, 1), (1000, 7), (500, 600)])
+def test_there_is_room_for_the_largest_window(shape: tuple[int, int]) -> None:
+    windows = [
+        min(shape[0] - x, WINDOW_TILES) * min(shape[1] - y, WINDOW_TILES)
+        for x in range(0, shape[0], WINDOW_TILES)
+        for y in range(0, shape[1], WINDOW_TILES)
+    ]
+    assert window_room(shape) == max(windows, default=0)
