@@ -61,9 +61,8 @@ class Archive:
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
             self._lock = os.open(self.directory / "lock", os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            message = f"cannot use the data directory {self.directory}: {error.strerror or error}"
-            raise JournalError(message) from error
+        except (OSError, ValueError) as error:
+            raise JournalError(self._unusable(error)) from error
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
@@ -84,6 +83,16 @@ class Archive:
         except JournalError:
             self.close()
             raise
+
+    def _unusable(self, error: OSError | ValueError) -> str:
+        why = getattr(error, "strerror", None) or str(error)
+        if isinstance(error, FileExistsError | NotADirectoryError):
+            why = "there is a file, or a link to nothing, where a folder is expected"
+        return (
+            f"cannot use the data directory {self.directory}: {why}. It must be a folder that this "
+            "user may write to, on a disk that is mounted for writing; mend that, or name another "
+            "with --data-dir"
+        )
 
     def close(self) -> None:
         """Close the journal and unlock the directory. May be called twice."""

@@ -5,6 +5,7 @@ a new file appears under its name only when it is complete, so an empty one is d
 """
 
 import logging
+import os
 import sqlite3
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,6 +25,7 @@ logger = logging.getLogger(__name__)
 _CHECKED_WHOLE_BYTES = 512 * 2**20  # a larger file is not read through at every start
 _DELETED_AT_ONCE = 1024
 _PAGE_READ = 500
+_EFFECTIVE = os.access in os.supports_effective_ids
 _SIGN = 1 << 64  # SQLite's integers are signed
 
 
@@ -76,10 +78,13 @@ class SqliteJournal:
             JournalError: it is damaged, of another format, or cannot be written.
         """
         try:
-            if not self.path.exists():
+            if not os.path.lexists(self.path):  # a link to a disk that is away is no new journal
                 create(self.path)
             if self.path.stat().st_size == 0:
                 raise sqlite3.DatabaseError("the file is empty")
+            if not os.access(self.path, os.W_OK, effective_ids=_EFFECTIVE):
+                # SQLite would open it, and fail when the first scan comes.
+                raise PermissionError("this user may not write to it")
             self._db = self._connect()
             self._check()
         except (sqlite3.Error, OSError) as error:
@@ -267,8 +272,11 @@ class SqliteJournal:
             logger.debug("closing the journal after an error failed", exc_info=True)
 
     def _explain(self, error: Exception) -> str:
-        if isinstance(error, sqlite3.OperationalError | OSError) and self.path.exists():
-            return f"the journal {self.path} cannot be opened: {error}"
+        if isinstance(error, sqlite3.OperationalError | OSError) and os.path.lexists(self.path):
+            return (
+                f"the journal {self.path} cannot be opened: {error}; it must be a file that this "
+                "user may read and write, on a disk that is there"
+            )
         return (
             f"the journal {self.path} is damaged ({error}); nothing was changed. Restore it from a "
             "backup together with the checkpoints beside it, or move the whole directory away and "
