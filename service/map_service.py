@@ -9,7 +9,6 @@ from typing import Protocol
 
 import threadpoolctl
 
-from gpom_core.errors import GpomError
 from gpom_core.mapper import Mapper
 from service.archive import Archive
 from service.clock import Clock, SystemClock
@@ -20,15 +19,14 @@ from service.ingest import Acknowledge, Ingest, acknowledge_nothing
 from service.journal import Journal, NoJournal
 from service.mapping import MapKeeper, MapState
 from service.metrics import Metrics
-from service.points import predict, read_request, write_answer
 from service.priority import be_nice
-from service.problems import problem_of
 from service.query_desk import QueryDesk
 from service.raster_store import RasterStore
+from service.remote_desk import RemoteDesk
 from service.saver import Saver
 from service.sequences import Cursor, SensorKey
 from service.settings import Settings
-from service.source import RemoteQuery, RemoteReply, ScanSource
+from service.source import RemoteQuery, ScanSource
 from service.tile_store import TileStore
 
 logger = logging.getLogger(__name__)
@@ -67,6 +65,14 @@ class MapService:
             settings.http.query_threads,
             settings.http.queries_waiting_max,
             settings.http.retry_after_s,
+        )
+        self._remote = RemoteDesk(
+            settings.zenoh.queries_max,
+            settings.http,
+            desk=self.queries,
+            snapshot=lambda: self.state.snapshot,
+            metrics=self.metrics,
+            clock=ports.clock,
         )
         self._tile_desk = QueryDesk(
             settings.http.tile_threads,
@@ -269,33 +275,7 @@ class MapService:
 
     def on_query(self, query: RemoteQuery) -> None:
         """Answer a question that came by the source, from the pool for heavy queries."""
-        try:
-            self.queries.submit(lambda: query.reply(self._answer(query)))
-        except GpomError as error:
-            query.reply(self._refuse(error))
-
-    def _answer(self, query: RemoteQuery) -> RemoteReply:
-        start_s = self._ports.clock.monotonic_s()
-        try:
-            # zenoh calls bytes of no stated type application/octet-stream or zenoh/bytes.
-            request = read_request(query.body, query.media_type, query.fusion)
-            snapshot = self.state.snapshot
-            points_max = self.settings.http.query_points_max
-            prediction = predict(snapshot, request, points_max, self.queries.check)
-            body = write_answer(prediction, snapshot.version, query.media_type)
-            self.metrics.remote_seconds.observe(self._ports.clock.monotonic_s() - start_s)
-        except GpomError as error:
-            return self._refuse(error)
-        except Exception as error:  # the asker must not wait for its timeout
-            logger.exception("a remote query failed")
-            return self._refuse(error)
-        self.metrics.remote_queries.labels("answered").inc()
-        return RemoteReply(body, query.media_type)
-
-    def _refuse(self, error: Exception) -> RemoteReply:
-        self.metrics.remote_queries.labels("refused").inc()
-        problem = problem_of(error)
-        return RemoteReply(problem.encoded(), problem.MEDIA_TYPE, is_error=True)
+        self._remote.take(query)
 
     def _export_metrics(self) -> None:
         metrics, queue, mapping = self.metrics, self._ingest.queue, self._mapping

@@ -110,12 +110,17 @@ def problem_of(error: BaseException) -> Problem:
         return Problem(KINDS[GpomError], "unexpected error; the log of the service has the cause")
     kind = next(KINDS[cls] for cls in type(error).__mro__ if cls in KINDS)
     if isinstance(error, BusyError):
-        return Problem(kind, str(error), headers={"Retry-After": str(error.retry_after_s)})
+        return _later(kind, error, error.retry_after_s)
     if isinstance(error, ExcessError):
-        retry = {"Retry-After": str(error.retry_after_s)}
-        return Problem(kind, str(error), {"allowed": error.allowed}, retry)
+        return _later(kind, error, error.retry_after_s, allowed=error.allowed)
     if isinstance(error, UnauthorizedError):
         return Problem(kind, str(error), headers={"WWW-Authenticate": "Bearer"})
     if isinstance(error, NotReadyError):
-        return Problem(kind, str(error), {"troubles": error.troubles}, {"Retry-After": "1"})
+        return _later(kind, error, 1, troubles=error.troubles)
     return Problem(kind, str(error))
+
+
+def _later(kind: Kind, error: GpomError, retry_after_s: int, **more: Any) -> Problem:
+    """When to try again is told twice: zenoh has no headers."""
+    headers = {"Retry-After": str(retry_after_s)}
+    return Problem(kind, str(error), {**more, "retry_after_s": retry_after_s}, headers)

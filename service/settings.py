@@ -114,6 +114,9 @@ class ZenohSettings(_Section):
         ("tcp/127.0.0.1:7447",), description="endpoints to listen on; [] for none"
     )
     connect: Endpoints = Field((), description="routers or peers to connect to")
+    queries_max: int = Field(
+        16, ge=1, description="queries over zenoh open at once, of all who ask; then 429"
+    )
     robots: Endpoints = Field(
         (),
         description="names of robots; if given, each may publish under its own name only, and "

@@ -38,12 +38,14 @@ class RemoteQuery:
         media_type: of the body; empty when unknown.
         fusion: the rule asked for beside the body, or None.
         reply: to be called exactly once, from any thread.
+        method: asked for beside the body, or None.
     """
 
     body: bytes
     media_type: str
     fusion: str | None
     reply: Callable[[RemoteReply], None]
+    method: str | None = None
 
 
 class SourceSink(Protocol):

@@ -179,6 +179,7 @@ class ZenohSource:
                         media_type="" if query.encoding is None else str(query.encoding),
                         fusion=query.parameters.get("fusion"),
                         reply=reply,
+                        method=query.parameters.get("method"),
                     )
                 )
             except Exception as error:

@@ -9,7 +9,7 @@ import pytest
 from service.errors import SourceError
 from service.map_service import MapService, Ports
 from service.points import JSON, NPY, write_npy
-from service.settings import HttpSettings, IngestSettings, Settings
+from service.settings import HttpSettings, IngestSettings, Settings, ZenohSettings
 from service.source import MemorySource
 from tests.service.rooms import HALF_M, payload_at
 
@@ -67,7 +67,7 @@ def test_remote_queries_never_hang(service, source, monkeypatch) -> None:
     def break_down(*_) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("service.map_service.predict", break_down)
+    monkeypatch.setattr("service.remote_desk.predict", break_down)
     reply = source.ask(b'{"points": []}', JSON).result(10.0)
     assert reply.is_error
     assert json.loads(reply.body)["status"] == 500
@@ -81,9 +81,45 @@ def test_remote_queries_beyond_capacity_are_told_so(source) -> None:
     try:
         service.queries.submit(release.wait)
         reply = source.ask(b'{"points": []}', JSON).result(10.0)
-        assert json.loads(reply.body)["status"] == 503
+        problem = json.loads(reply.body)
+        assert (problem["status"], problem["retry_after_s"]) == (503, 1)
     finally:
         release.set()
+        service.stop()
+
+
+def test_remote_queries_beyond_their_share_are_told_so_and_others_have_room(source) -> None:
+    http = HttpSettings(query_threads=1, queries_waiting_max=8, retry_after_s=3)
+    service = MapService(Settings(http=http, zenoh=ZenohSettings(queries_max=2)), Ports(source))
+    service.start()
+    release = threading.Event()
+    try:
+        service.queries.submit(release.wait)
+        waiting = [source.ask(b'{"points": []}', JSON) for _ in range(2)]
+        for _ in range(3):
+            reply = source.ask(b'{"points": []}', JSON).result(10.0)
+            problem = json.loads(reply.body)
+            assert reply.is_error
+            assert (problem["status"], problem["allowed"], problem["retry_after_s"]) == (429, 2, 3)
+            assert "zenoh.queries_max" in problem["detail"]
+        by_http = service.queries.submit(lambda: "answered")
+        release.set()
+        assert by_http.result(10.0) == "answered"
+        assert [one.result(10.0).is_error for one in waiting] == [False, False]
+        assert not source.ask(b'{"points": []}', JSON).result(10.0).is_error
+    finally:
+        release.set()
+        service.stop()
+
+
+def test_a_remote_query_that_is_too_long_is_refused_before_it_is_read(source) -> None:
+    service = MapService(Settings(http=HttpSettings(body_bytes_max=1024)), Ports(source))
+    service.start()
+    try:
+        problem = json.loads(source.ask(b"[" * 1025, JSON).result(10.0).body)
+        assert problem["status"] == 413
+        assert "1024" in problem["detail"]
+    finally:
         service.stop()
 
 
