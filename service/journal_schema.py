@@ -40,6 +40,12 @@ _NEW_IN_2 = (
     "y REAL",
     "yaw REAL",
 )
+_NUMBER = "('integer', 'real', 'null')"
+_KINDS = (
+    *((name, "('text')") for name in ("robot", "sensor")),
+    *((name, "('integer')") for name in ("boot", "seq", "scans", "lost")),
+    *((name, _NUMBER) for name in ("seen_unix_s", "x", "y", "yaw")),
+)
 
 
 def create(path: Path) -> None:
@@ -71,6 +77,33 @@ def check_format(db: sqlite3.Connection, path: Path) -> None:
     if not 1 <= version <= FORMAT:
         message = f"{path} has format {version}; this gpom reads 1 to {FORMAT}: use another"
         raise JournalError(message)
+
+
+def check_streams(db: sqlite3.Connection) -> bool:
+    """See that streams are where their scans end; what SQLite's own check does not look at.
+
+    Returns:
+        Whether they are of the newest format.
+
+    Raises:
+        sqlite3.DatabaseError: one of them is not, or holds what no stream can.
+    """
+    (version,) = db.execute("PRAGMA user_version").fetchone()
+    kinds = _KINDS if version > 1 else _KINDS[:4]
+    for name, allowed in kinds:
+        strange = f"SELECT 1 FROM streams NOT INDEXED WHERE typeof({name}) NOT IN {allowed}"  # noqa: S608 - ours
+        told = db.execute(strange)
+        if told.fetchone() is not None:
+            raise sqlite3.DatabaseError(f"a stream has a {name} that is none")
+    mine = "SELECT 1 FROM scans WHERE stream = s.stream AND seq > 0"  # the index `once` has it
+    moved = db.execute(
+        "SELECT robot FROM streams AS s WHERE seq != 0 AND "  # noqa: S608 - ours
+        f"(EXISTS ({mine}) AND NOT EXISTS ({mine} AND boot = s.boot AND seq = s.seq)"
+        f" OR EXISTS ({mine} AND boot = s.boot AND seq > s.seq))"
+    )
+    if (robot := moved.fetchone()) is not None:
+        raise sqlite3.DatabaseError(f"a stream of {robot[0]} does not end where its scans end")
+    return bool(version == FORMAT)
 
 
 def upgrade(db: sqlite3.Connection) -> None:

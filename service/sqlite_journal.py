@@ -16,7 +16,8 @@ from gpom_core.scan import Pose2D
 from service.errors import JournalError
 from service.fleet import RobotStatus
 from service.journal import ScanRecord, StoredScan
-from service.journal_schema import check_format, create, upgrade
+from service.journal_mark import JournalMark
+from service.journal_schema import check_format, check_streams, create, upgrade
 from service.sequences import Cursor, SensorKey
 from service.settings import JournalSettings
 
@@ -61,6 +62,7 @@ class SqliteJournal:
         self._settings = settings
         self._db: sqlite3.Connection | None = None
         self._lock = threading.Lock()
+        self._mark = JournalMark(path.with_suffix(".position"))
         self._streams: dict[SensorKey, int] = {}
         self._position = 0
         self._released = 0
@@ -85,8 +87,9 @@ class SqliteJournal:
             if not os.access(self.path, os.W_OK, effective_ids=_EFFECTIVE):
                 # SQLite would open it, and fail when the first scan comes.
                 raise PermissionError("this user may not write to it")
-            self._db = self._connect()
             self._check()
+            self._db = self._connect()
+            upgrade(self._db)
         except (sqlite3.Error, OSError) as error:
             self.close()
             raise JournalError(self._explain(error)) from error
@@ -104,6 +107,7 @@ class SqliteJournal:
             try:
                 self._make_room()
                 self._write(self._open(), records)
+                self._mark.write(self.identity, self._position)
             except (sqlite3.Error, OSError) as error:
                 self._abandon()
                 message = f"the journal {self.path} cannot be written: {error}"
@@ -111,23 +115,11 @@ class SqliteJournal:
 
     def cursors(self) -> Mapping[SensorKey, Cursor]:
         """Give the last scan of every sensor."""
-        rows = self._open().execute("SELECT robot, sensor, boot, seq FROM streams WHERE seq > 0")
-        return {
-            SensorKey(robot, sensor): Cursor(boot % _SIGN, seq % _SIGN)
-            for robot, sensor, boot, seq in rows
-        }
+        return _cursors(self._open())
 
     def robots(self) -> Sequence[RobotStatus]:
         """Give what is known of every robot whose scans were ever stored."""
-        # Beside one max(), SQLite takes the other columns from the row that holds it.
-        rows = self._open().execute(
-            "SELECT robot, sum(scans), sum(lost), max(seen_unix_s), x, y, yaw FROM streams "
-            "WHERE seen_unix_s IS NOT NULL GROUP BY robot"
-        )
-        return [
-            RobotStatus(robot, scans, lost, seen_unix_s, Pose2D(*pose))
-            for robot, scans, lost, seen_unix_s, *pose in rows
-        ]
+        return _robots(self._open())
 
     def replay(self, after: int, until: int) -> Iterator[StoredScan]:
         """Read scans with `after` < position <= `until`, over a connection of its own.
@@ -175,6 +167,7 @@ class SqliteJournal:
     def close(self) -> None:
         """Close the file; the write-ahead log is merged into it."""
         with self._lock:
+            self._mark.close()
             db, self._db = self._db, None
             if db is not None:
                 db.close()
@@ -203,19 +196,24 @@ class SqliteJournal:
         return db
 
     def _check(self) -> None:
-        db = self._open()
-        check_format(db, self.path)
-        if self.path.stat().st_size <= _CHECKED_WHOLE_BYTES:
-            (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
-            if verdict != "ok":
-                raise sqlite3.DatabaseError(" ".join(verdict.split()))
-        upgrade(db)
-        (self.identity,) = db.execute("SELECT id FROM identity").fetchone()
-        (self._position,) = db.execute("SELECT ifnull(max(position), 0) FROM scans").fetchone()
-        self._streams = {
-            SensorKey(robot, sensor): stream
-            for stream, robot, sensor in db.execute("SELECT stream, robot, sensor FROM streams")
-        }
+        """See that all is there, over a connection that leaves a damaged log as it is."""
+        db = sqlite3.connect(f"{self.path.absolute().as_uri()}?mode=ro", uri=True)
+        try:
+            check_format(db, self.path)
+            if self.path.stat().st_size <= _CHECKED_WHOLE_BYTES:
+                (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
+                if verdict != "ok":
+                    raise sqlite3.DatabaseError(" ".join(verdict.split()))
+            if check_streams(db):
+                _cursors(db), _robots(db)  # what cannot be read is told now and not later
+            (self.identity,) = db.execute("SELECT id FROM identity").fetchone()
+            (self._position,) = db.execute("SELECT ifnull(max(position), 0) FROM scans").fetchone()
+            rows = db.execute("SELECT stream, robot, sensor FROM streams NOT INDEXED")
+            self._streams = {SensorKey(robot, sensor): stream for stream, robot, sensor in rows}
+        finally:
+            db.close()
+        if (stored := self._mark.read(self.identity)) > self._position:
+            raise JournalError(self._short(stored))
 
     def _write(self, db: sqlite3.Connection, records: Sequence[ScanRecord]) -> None:
         db.execute("BEGIN IMMEDIATE")
@@ -283,11 +281,39 @@ class SqliteJournal:
             "start anew; `gpom map import` starts a directory from an exported map"
         )
 
+    def _short(self, stored: int) -> str:
+        return (
+            f"the journal {self.path} ends at scan {self._position}, but {stored} were stored: its "
+            "-wal file was removed, cut or damaged, or it is an older copy; nothing was changed. "
+            f"Put back what belongs there, or delete {self._mark.path.name} to go on without the "
+            f"{stored - self._position} scans that are missing"
+        )
+
     def _gap(self, after: int) -> str:
         return (
             f"the journal {self.path} does not hold the scan at position {after + 1} any more, and "
             "no checkpoint covers it. Restore the checkpoint files, or move the directory away"
         )
+
+
+def _cursors(db: sqlite3.Connection) -> dict[SensorKey, Cursor]:
+    rows = db.execute("SELECT robot, sensor, boot, seq FROM streams WHERE seq > 0")
+    return {
+        SensorKey(robot, sensor): Cursor(boot % _SIGN, seq % _SIGN)
+        for robot, sensor, boot, seq in rows
+    }
+
+
+def _robots(db: sqlite3.Connection) -> list[RobotStatus]:
+    # Beside one max(), SQLite takes the other columns from the row that holds it.
+    rows = db.execute(
+        "SELECT robot, sum(scans), sum(lost), max(seen_unix_s), x, y, yaw FROM streams "
+        "WHERE seen_unix_s IS NOT NULL GROUP BY robot"
+    )
+    return [
+        RobotStatus(robot, scans, lost, seen_unix_s, Pose2D(*pose))
+        for robot, scans, lost, seen_unix_s, *pose in rows
+    ]
 
 
 def _new_stream(db: sqlite3.Connection, key: SensorKey) -> int:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import random
 import zipfile
 import zlib
 
@@ -75,6 +76,28 @@ def test_one_wrong_byte_is_noticed(path, where) -> None:
     path.write_bytes(content)
     with pytest.raises(MapFileError):
         read_map(path, LIMIT)
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_bit_turned_anywhere_is_noticed_or_says_nothing(tmp_path, saved, compress) -> None:
+    path, rng = tmp_path / "map.gpom", random.Random(1)
+    write_map(path, saved, compress=compress)
+    content = path.read_bytes()
+    noticed = 0
+    for _ in range(100):
+        bit = rng.randrange(8 * len(content))
+        wrong = bytearray(content)
+        wrong[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(wrong)
+        try:
+            read = read_map(path, LIMIT)
+        except MapFileError:
+            noticed += 1
+            continue
+        assert (read.config, read.journal, read.position) == (saved.config, "journal-1", 7), bit
+        for name, array in saved.image.items():
+            np.testing.assert_array_equal(read.image[name], array, err_msg=str(bit))
+    assert noticed > 60, "the others are in dates and other notes of the archive"
 
 
 def test_a_file_that_was_cut_is_noticed(path) -> None:

@@ -1,6 +1,7 @@
 """What is appended is there after a crash, once, as it came; damage is told and left alone."""
 
 import os
+import random
 import signal
 import sqlite3
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from gpom_core import wire
+from gpom_core.errors import InvalidScanError
 from gpom_core.scan import Pose2D
 from service.errors import JournalError
 from service.fleet import RobotStatus
@@ -153,6 +155,115 @@ def test_damage_is_told_with_what_to_do_and_left_as_it_is(path, kind) -> None:
     with pytest.raises(JournalError, match=r"is damaged.*nothing was changed.*backup"):
         opened(path)
     assert path.read_bytes() == before
+
+
+def killed(path: Path) -> dict[str, bytes]:
+    """What SIGKILL leaves of a journal of 40 scans: most of it in the write-ahead log."""
+    journal = opened(path)
+    for seq in range(1, 41):
+        journal.append([record(seq)])
+    kept = {file.name: file.read_bytes() for file in path.parent.iterdir()}
+    journal.close()
+    for name, content in kept.items():
+        (path.parent / name).write_bytes(content)
+    return kept
+
+
+def test_what_a_killed_process_left_in_the_log_is_there(path) -> None:
+    killed(path)
+    assert opened(path).position == 40
+
+
+@pytest.mark.parametrize("harm", ["removed", "cut", "flipped"])
+def test_a_log_that_lost_scans_is_told_and_left_as_it_is(path, harm) -> None:
+    log = path.with_name("journal.sqlite-wal")
+    content = killed(path)[log.name]
+    middle = len(content) // 2
+    if harm == "removed":
+        log.unlink()
+    elif harm == "cut":
+        log.write_bytes(content[:middle])
+    else:
+        log.write_bytes(content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :])
+    before = {file: file.read_bytes() for file in (path, log) if file.exists()}
+    told = r"ends at scan \d+, but 40 were stored.*nothing was changed.*delete journal.position"
+    with pytest.raises(JournalError, match=told):
+        opened(path)
+    assert {file: file.read_bytes() for file in before} == before
+    path.with_name("journal.position").unlink()
+    journal = opened(path)
+    assert 0 <= journal.position < 40, "the advice works"
+    journal.append([record(41)])
+    journal.close()
+    assert opened(path).position == journal.position
+
+
+def test_a_mark_of_another_journal_or_none_says_nothing(path) -> None:
+    mark = path.with_name("journal.position")
+    opened(path).close()
+    assert not mark.exists()
+    for content in (b"", b"nonsense", b"0" * 32 + b" 00000000000000000009\n"):
+        mark.write_bytes(content)
+        journal = opened(path)
+        assert mark.read_bytes() == content, "nothing is stored yet"
+        journal.append([record(journal.position + 1)])
+        journal.close()
+        assert mark.read_bytes() == f"{journal.identity} {journal.position:020d}\n".encode()
+
+
+def test_a_bit_turned_anywhere_is_told_or_says_nothing_of_scans(path) -> None:
+    """Of what is not a scan, only names and counts of robots have no sum to hold them against."""
+    journal, rng = opened(path), random.Random(1)
+    for seq in range(1, 60):
+        journal.append([record(seq, robot=robot) for robot in "abc"])
+
+    def told(journal: SqliteJournal) -> tuple[object, ...]:
+        scans = list(journal.replay(0, journal.position))
+        for scan in scans:
+            wire.decode(scan.payload)
+        return [scan.payload for scan in scans], sorted(journal.cursors().values())
+
+    before = told(journal)
+    journal.close()
+    content, noticed = path.read_bytes(), 0
+    for _ in range(100):
+        bit = rng.randrange(8 * len(content))
+        wrong = bytearray(content)
+        wrong[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(wrong)
+        try:
+            journal = opened(path)
+        except JournalError:
+            noticed += 1
+            continue
+        try:
+            assert told(journal) == before, bit
+        except (JournalError, InvalidScanError):
+            noticed += 1
+        finally:
+            journal.close()
+    assert noticed > 50, "the others are in unused space"
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        "UPDATE streams SET seq = 5 WHERE robot = 'r'",  # scans sent again would be in the way
+        "UPDATE streams SET seq = 50 WHERE robot = 'r'",  # scans that never came would be let go
+        "UPDATE streams SET boot = 3 WHERE robot = 'r'",
+        "UPDATE streams SET x = 'west' WHERE robot = 'r'",
+        "UPDATE streams SET robot = x'ff' WHERE robot = 'r'",
+    ],
+)
+def test_streams_that_do_not_end_where_their_scans_end_are_told(path, harm) -> None:
+    journal = opened(path)
+    journal.append([*(record(seq) for seq in range(1, 11)), record(1, robot="other", boot=2)])
+    journal.close()
+    db = sqlite3.connect(path, isolation_level=None)
+    db.execute(harm)
+    db.close()
+    with pytest.raises(JournalError, match=r"is damaged \(a stream .*nothing was changed"):
+        opened(path)
 
 
 def test_other_files_and_formats_are_refused(path) -> None:
