@@ -1,12 +1,14 @@
 """What may be reached from where: refuses to open the map to a network without saying so."""
 
 import ipaddress
+import ssl
 from typing import Any
 
 from gpom_core.errors import ConfigurationError
-from service.settings import Settings, ZenohSettings
+from service.settings import HttpSettings, Settings, ZenohSettings
 
 _LOCAL_NAMES = frozenset({"localhost", "localhost.localdomain"})
+_WITH_CERTIFICATES = ("tls", "quic")
 _LOCAL_LINKS = ("unixsock-stream/", "unixpipe/", "vsock/")
 
 
@@ -32,14 +34,49 @@ def check_exposure(settings: Settings) -> None:
             "true (--insecure) when something else keeps strangers out"
         )
         raise ConfigurationError(message)
-    exposed = [endpoint for endpoint in settings.zenoh.listen if not _is_local(endpoint)]
-    if exposed and not _asks_who(settings.zenoh):
+    listening = [path for path in settings.zenoh.options if path.partition("/")[0] == "listen"]
+    if listening:
+        message = (
+            f"zenoh.options has {', '.join(listening)}, which nothing would be held against. Say "
+            "where to listen in zenoh.listen"
+        )
+        raise ConfigurationError(message)
+    exposed = [one for one in settings.zenoh.listen if not _asks_who(one, settings.zenoh)]
+    if exposed:
         message = (
             f"zenoh.listen {', '.join(exposed)} can be reached from other machines, and robots "
             "need not say who they are. Set zenoh.passwords_file or certificates in zenoh.options, "
             "or say access.insecure: true (--insecure) when something else keeps strangers out"
         )
         raise ConfigurationError(message)
+
+
+def check_certificate(http: HttpSettings) -> None:
+    """Refuse a certificate that HTTPS cannot be served with, before anything else begins.
+
+    Raises:
+        ConfigurationError: says what is wrong with it.
+    """
+    certificate, key = http.tls_certificate, http.tls_key
+    if certificate is None:
+        if key is not None:
+            message = (
+                "http.tls_key is set, and http.tls_certificate is not: expected both for HTTPS"
+            )
+            raise ConfigurationError(message)
+        return
+    try:
+        # Without an answer to give, it would ask the terminal for the key's password.
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(
+            certificate, key, password=""
+        )
+    except (OSError, ValueError) as error:  # SSLError is an OSError
+        files = f"{certificate}" if key is None else f"{certificate} with the key {key}"
+        message = (
+            f"HTTPS cannot be served with {files}: {error.args[-1]}. http.tls_certificate and "
+            "tls_key name PEM files of one certificate and its key, without a password"
+        )
+        raise ConfigurationError(message) from error
 
 
 def is_loopback(host: str) -> bool:
@@ -52,17 +89,25 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-def _is_local(endpoint: str) -> bool:
+def _asks_who(endpoint: str, zenoh: ZenohSettings) -> bool:
+    """Whether only this machine can reach an endpoint, or those who say who they are."""
     if endpoint.startswith(_LOCAL_LINKS):
         return True
-    address = endpoint.partition("/")[2].partition("#")[0].partition("?")[0]
-    return is_loopback(address.rpartition(":")[0])
+    link, _, rest = endpoint.partition("/")
+    host = rest.partition("#")[0].partition("?")[0].rpartition(":")[0]
+    if is_loopback(host):
+        return True
+    if _is_multicast(host):  # there is no handshake, so nobody is asked
+        return False
+    mutual: Any = zenoh.options.get("transport/link/tls/enable_mtls", False)
+    return zenoh.passwords_file is not None or (mutual is True and link in _WITH_CERTIFICATES)
 
 
-def _asks_who(zenoh: ZenohSettings) -> bool:
-    options = zenoh.options
-    mutual: Any = options.get("transport/link/tls/enable_mtls", False)
-    return zenoh.passwords_file is not None or mutual is True
+def _is_multicast(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_multicast
+    except ValueError:
+        return False
 
 
 def access_control(

@@ -14,7 +14,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from service.access import check_exposure
+from service.access import check_certificate, check_exposure
 from service.assembly import assemble
 from service.ending import Ending
 from service.errors import SourceError
@@ -38,6 +38,7 @@ def run(settings: Settings, announce: Callable[[str], None], ending: Ending) -> 
         SourceError: an address is taken or cannot be listened on; nothing is left running.
     """
     check_exposure(settings)
+    check_certificate(settings.http)
     share_interpreter()
     listener = _listen(settings.http)
     with listener:

@@ -47,8 +47,12 @@ Tokens = Annotated[tuple[SecretStr, ...], NoDecode, BeforeValidator(_split)]
 TOKEN_LENGTH_MIN = 16
 
 
+_LONGEST_S = 1e7  # four months; no lock of the operating system waits for 1e10
+_THREADS_MAX = 1024
+
+
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class HttpSettings(_Section):
@@ -61,9 +65,11 @@ class HttpSettings(_Section):
     query_points_max: int = Field(1_000_000, ge=1, description="points of one query")
     grid_cells_max: int = Field(4_000_000, ge=1, description="cells of one raster")
     body_bytes_max: int = Field(64 * 2**20, ge=1024, description="bytes of one request body")
-    query_threads: int = Field(2, ge=1, description="heavy queries answered at once")
+    query_threads: int = Field(
+        2, ge=1, le=_THREADS_MAX, description="heavy queries answered at once"
+    )
     queries_waiting_max: int = Field(32, ge=0, description="heavy queries in line; then 503")
-    tile_threads: int = Field(1, ge=1, description="map tiles drawn at once")
+    tile_threads: int = Field(1, ge=1, le=_THREADS_MAX, description="map tiles drawn at once")
     tiles_waiting_max: int = Field(256, ge=0, description="map tiles in line; then 503")
     tile_cache_bytes_max: int = Field(
         64 * 2**20, ge=2**20, description="memory for map tiles that were drawn"
@@ -75,12 +81,16 @@ class HttpSettings(_Section):
     client_requests_max: int = Field(
         32, ge=1, description="requests of one address answered at once, flushes too; then 429"
     )
-    flush_timeout_max_s: float = Field(600.0, gt=0.0, description="longest wait of one flush")
+    flush_timeout_max_s: float = Field(
+        600.0, gt=0.0, le=_LONGEST_S, description="longest wait of one flush"
+    )
     event_clients_max: int = Field(64, ge=1, description="open event streams; then 503")
     client_streams_max: int = Field(
         32, ge=1, description="open event streams of one address; then 429"
     )
-    event_keepalive_s: float = Field(2.0, gt=0.0, description="a silent stream says so this often")
+    event_keepalive_s: float = Field(
+        2.0, gt=0.0, le=_LONGEST_S, description="a silent stream says so this often"
+    )
 
 
 class AccessSettings(_Section):
@@ -131,6 +141,14 @@ class ZenohSettings(_Section):
         {}, description="further zenoh configuration, path: value, such as transport/link/tls/…"
     )
 
+    @field_validator("robots")
+    @classmethod
+    def _are_names(cls, robots: tuple[str, ...]) -> tuple[str, ...]:
+        # As parts of rules: "*" would be allowed to speak for everybody.
+        if any(not name or set(name) & set("/*$#?") for name in robots):
+            raise ValueError("expected names of robots, without / * $ # ?")
+        return robots
+
     @field_validator("prefix")
     @classmethod
     def _is_plain_key(cls, prefix: str) -> str:
@@ -170,7 +188,10 @@ class JournalSettings(_Section):
         "map, or keep all and take no more scans",
     )
     checkpoint_interval_s: float = Field(
-        60.0, gt=0.0, description="the map is saved this often; scans since are integrated again"
+        60.0,
+        gt=0.0,
+        le=_LONGEST_S,
+        description="the map is saved this often; scans since are integrated again",
     )
     checkpoints_kept: int = Field(2, ge=1, le=100, description="the newest of them")
     map_bytes_max: int = Field(
@@ -182,14 +203,20 @@ class TrainingSettings(_Section):
     """How experts are kept up to date."""
 
     workers: int = Field(
-        default_factory=_spare_cores, ge=1, description="threads; default: all cores but one"
+        default_factory=_spare_cores,
+        ge=1,
+        le=_THREADS_MAX,
+        description="threads; default: all cores but one",
     )
     swap_interval_s: float = Field(
         0.1, gt=0.0, le=10.0, description="under load, answers see new experts this often"
     )
     attempts_max: int = Field(3, ge=1, description="a failing expert is set aside after these")
     job_timeout_s: float = Field(
-        60.0, gt=0.0, description="training one expert that takes longer hangs, and has failed"
+        60.0,
+        gt=0.0,
+        le=_LONGEST_S,
+        description="training one expert that takes longer hangs, and has failed",
     )
 
 
@@ -208,3 +235,10 @@ class Settings(_Section):
     journal: JournalSettings = JournalSettings()
     training: TrainingSettings = TrainingSettings()
     map: MapConfig = MapConfig()
+
+    @field_validator("data_dir", mode="before")
+    @classmethod
+    def _is_named(cls, folder: Any) -> Any:
+        if folder == "":  # it would be where the process was started
+            raise ValueError("expected a folder; null, or nothing at all, keeps the map in memory")
+        return folder

@@ -83,8 +83,14 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         message = f"cannot read the settings file {path}: {error.strerror or error}"
         raise ConfigurationError(message) from error
+    except yaml.MarkedYAMLError as error:
+        # Not all that it says: it quotes the line, which may hold a token.
+        mark = error.problem_mark or error.context_mark
+        where = "" if mark is None else f" in line {mark.line + 1}, column {mark.column + 1}"
+        raise ConfigurationError(f"{path} is not YAML: {error.problem}{where}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ConfigurationError(f"{path} is not YAML: {error}") from error
+        message = f"{path} is not YAML: it holds what is no text"
+        raise ConfigurationError(message) from error
     if content is None:
         return {}
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
@@ -117,9 +123,15 @@ def _explain(error: ValidationError, config: Path | None) -> str:
         if item["type"] == "extra_forbidden":
             problems.append(f"{name}: unknown; see `gpom serve --print-config` for all names")
         else:
-            problems.append(f"{name}: {item['msg']}, got {item['input']!r}")
+            got = "(hidden)" if _is_secret(item["loc"]) else repr(item["input"])
+            problems.append(f"{name}: {item['msg']}, got {got}")
     sources = "" if config is None else f" (from {config}, {ENV_PREFIX}* or flags)"
     return f"bad settings{sources}: " + "; ".join(problems)
+
+
+def _is_secret(place: tuple[int | str, ...]) -> bool:
+    """Whether a setting may hold what nobody should read in a log."""
+    return "access" in place or {"password", "options"} & {*place} != set()
 
 
 def _section(model: BaseModel, indent: int) -> list[str]:

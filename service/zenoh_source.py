@@ -224,8 +224,10 @@ def _configuration(settings: ZenohSettings) -> zenoh.Config:
         try:
             config.insert_json5(path, json.dumps(value))
         except zenoh.ZError as error:
-            shown = "(hidden)" if "password" in path else json.dumps(value)
-            message = f"zenoh refuses the option {path}: {shown}: {error}"
+            shown, why = json.dumps(value), str(error)
+            if "password" in path + shown:
+                shown, why = "(hidden)", "it is no such value"
+            message = f"zenoh refuses the option {path}: {shown}: {why}"
             raise SourceError(message) from error
     return config
 

@@ -9,10 +9,11 @@ import zenoh
 
 from clients.publisher import ScanPublisher
 from gpom_core.errors import ConfigurationError
-from service.access import check_exposure
+from service.access import check_certificate, check_exposure
+from service.errors import SourceError
 from service.http.app import create_app
 from service.map_service import MapService, Ports
-from service.settings import AccessSettings, Settings, ZenohSettings
+from service.settings import AccessSettings, HttpSettings, Settings, ZenohSettings
 from service.settings_file import annotated_yaml
 from service.source import MemorySource
 from service.zenoh_source import ZenohSource
@@ -94,6 +95,13 @@ def test_short_tokens_are_refused() -> None:
         {"zenoh": {"listen": ("tcp/0.0.0.0:7447",)}},
         {"zenoh": {"listen": ("tcp/127.0.0.1:1", "tls/[::]:7447")}},
         {"zenoh": {"listen": ("tcp/:7447",)}},
+        {"zenoh": {"listen": ("udp/224.0.0.224:7447",), "passwords_file": "p"}},
+        {
+            "zenoh": {
+                "listen": ("tls/0.0.0.0:7447", "tcp/0.0.0.0:7448"),
+                "options": {"transport/link/tls/enable_mtls": True},
+            }
+        },
     ],
 )
 def test_addresses_that_others_reach_need_credentials(parts) -> None:
@@ -137,6 +145,40 @@ def session(endpoint: str, user: str, password: str) -> zenoh.Session:
     }.items():
         config.insert_json5(path, json.dumps(value))
     return zenoh.open(config)
+
+
+@pytest.mark.parametrize("path", ["listen/endpoints", "listen"])
+def test_addresses_cannot_be_let_in_by_the_side_door(path) -> None:
+    zenoh = {"options": {path: ["tcp/0.0.0.0:7447"]}}
+    with pytest.raises(ConfigurationError, match=r"zenoh\.listen"):
+        check_exposure(Settings(zenoh=zenoh))
+
+
+@pytest.mark.parametrize(
+    ("harm", "told"),
+    [
+        ("no certificate", "tls_certificate is not"),
+        ("no file", "No such file"),
+        ("garbage", "PEM"),
+    ],
+)
+def test_certificates_that_cannot_be_used_are_told_before_anything_begins(
+    tmp_path, harm, told
+) -> None:
+    path = tmp_path / "certificate.pem"
+    if harm != "no file":
+        path.write_text("garbage")
+    http = HttpSettings(tls_certificate=None if harm == "no certificate" else path, tls_key=path)
+    with pytest.raises(ConfigurationError, match=f"{told}.*"):
+        check_certificate(http)
+
+
+def test_options_that_zenoh_refuses_are_told_without_secrets() -> None:
+    options = {"transport/auth/usrpwd": {"password": "hunter2", "bad": 1}}
+    source = ZenohSource(ZenohSettings(listen=(), options=options))
+    with pytest.raises(SourceError, match="transport/auth/usrpwd") as caught:
+        source.open(None)
+    assert "hunter2" not in str(caught.value)
 
 
 def test_rules_for_robots_do_not_silently_shut_out_those_of_ros() -> None:

@@ -56,6 +56,12 @@ def test_map_is_set_like_everything_else(monkeypatch: pytest.MonkeyPatch) -> Non
         ("map: {length_scale_m: -1}", "map.length_scale_m"),
         ("zenoh: {prefix: 'a/*/b'}", "zenoh.prefix"),
         ("zenoh: {prefix: '/a'}", "zenoh.prefix"),
+        ("zenoh: {robots: ['*']}", "zenoh.robots"),
+        ("zenoh: {robots: ['a/b']}", "zenoh.robots"),
+        ("data_dir: ''", "data_dir"),
+        ("journal: {checkpoint_interval_s: .inf}", "journal.checkpoint_interval_s"),
+        ("training: {workers: 100000000}", "training.workers"),
+        ("training: {job_timeout_s: 1.0e+300}", "training.job_timeout_s"),
         ("- 1", "no table"),
         ("a: [", "not YAML"),
     ],
@@ -63,6 +69,26 @@ def test_map_is_set_like_everything_else(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_bad_files_are_refused_with_the_name(tmp_path: Path, text: str, expected: str) -> None:
     with pytest.raises(ConfigurationError, match=expected):
         load_settings(_file(tmp_path, text))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "access: {read_tokens: hunter2}",
+        "access: {read_tokens: [hunter2, 5]}",
+        "access: {read_tokens: {a: hunter2hunter2hunter2}}",
+        "access: hunter2",
+        "zenoh: {password: [hunter2]}",
+        "zenoh: {options: [hunter2]}",
+        "token: hunter2: : x",
+        "token: 'hunter2",
+    ],
+)
+def test_what_is_wrong_is_told_without_secrets_in_one_line(tmp_path: Path, text: str) -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        load_settings(_file(tmp_path, text))
+    assert "hunter2" not in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
