@@ -1,11 +1,11 @@
-"""What handlers share: the service behind the app, bodies within bounds, agreed media types."""
+"""What handlers share: the service behind the app, agreed media types."""
 
 from collections.abc import Iterable
 from typing import Annotated
 
 from fastapi import Depends, Request
 
-from service.errors import NotAcceptableError, PayloadTooLargeError
+from service.errors import NotAcceptableError
 from service.map_service import MapService
 
 VERSION_HEADER = "X-Gpom-Map-Version"
@@ -18,24 +18,6 @@ async def _service(request: Request) -> MapService:
 
 
 Service = Annotated[MapService, Depends(_service)]
-
-
-async def read_body(request: Request, bytes_max: int) -> bytes:
-    """Read the body, and stop reading when it gets too long.
-
-    Raises:
-        PayloadTooLargeError: more than `bytes_max`.
-    """
-    message = f"the body is larger than the {bytes_max} bytes that are allowed: split the query"
-    stated = request.headers.get("content-length", "")
-    if stated.isdigit() and int(stated) > bytes_max:
-        raise PayloadTooLargeError(message)
-    body = bytearray()
-    async for chunk in request.stream():
-        body += chunk
-        if len(body) > bytes_max:
-            raise PayloadTooLargeError(message)
-    return bytes(body)
 
 
 def media_type(request: Request) -> str:

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Query, Request, Response
 from pydantic import FiniteFloat
 
 from service.errors import UnsupportedMediaError
-from service.http.context import VERSION_HEADER, Service, agree, media_type, read_body
+from service.http.context import VERSION_HEADER, Service, agree, media_type
 from service.points import (
     JSON,
     NPY,
@@ -80,7 +80,7 @@ async def query_points(
         message = f"Content-Type is {asked_in or 'missing'}; expected {JSON} or {NPY}"
         raise UnsupportedMediaError(message)
     answer_in = agree(request, (asked_in, NPY if asked_in == JSON else JSON))
-    body = await read_body(request, service.settings.http.body_bytes_max)
+    body = await request.body()
     snapshot = service.state.snapshot
 
     def answer() -> bytes:
