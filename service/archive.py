@@ -40,16 +40,23 @@ class Archive:
         settings: of the journal and the checkpoints.
         config: of the map; checkpoints of one whose evidence means something else are refused.
         clock: tells when a checkpoint was saved.
+        site: key prefix of the robots whose map it is; None for who takes no scans in.
     """
 
     def __init__(
-        self, directory: Path, settings: JournalSettings, config: MapConfig, clock: Clock
+        self,
+        directory: Path,
+        settings: JournalSettings,
+        config: MapConfig,
+        clock: Clock,
+        site: str | None = None,
     ) -> None:
         self.directory = directory
         self.journal = SqliteJournal(directory / "journal.sqlite", settings)
         self._settings = settings
         self._config = config
         self._clock = clock
+        self._site = site
         self._lock: int | None = None
 
     def open(self) -> None:
@@ -80,9 +87,28 @@ class Archive:
                 )
                 raise JournalError(message)
             self.journal.open()
+            self._check_site()
         except JournalError:
             self.close()
             raise
+
+    def _check_site(self) -> None:
+        """Refuse robots of another site: their scans would be drawn over this one's."""
+        path = self.directory / "site"
+        known = path.read_text("utf-8", "replace").strip() if path.exists() else ""
+        if self._site is None or known == self._site:
+            return
+        if known:
+            message = (
+                f"{self.directory} holds the map of {known}, and zenoh.prefix is {self._site}: "
+                "robots of two sites would be in one map. Set the prefix back, name another "
+                f"directory with --data-dir, or delete {path} if it is the same site"
+            )
+            raise JournalError(message)
+        try:
+            path.write_text(self._site + "\n", "utf-8")
+        except OSError as error:
+            logger.warning("%s cannot be written: %s", path, error)
 
     def _unusable(self, error: OSError | ValueError) -> str:
         why = getattr(error, "strerror", None) or str(error)

@@ -21,7 +21,9 @@ def assemble(settings: Settings) -> MapService:
     archive = (
         None
         if settings.data_dir is None
-        else Archive(settings.data_dir, settings.journal, settings.map, clock)
+        else Archive(
+            settings.data_dir, settings.journal, settings.map, clock, settings.zenoh.prefix
+        )
     )
     ports = Ports(source, archive=archive, clock=clock, acknowledge=source.acknowledge)
     service = MapService(settings, ports)

@@ -19,8 +19,8 @@ from service.settings import JournalSettings
 NOBODY = 65534
 
 
-def archive(directory: Path) -> Archive:
-    return Archive(directory, JournalSettings(), MapConfig(), SystemClock())
+def archive(directory: Path, site: str | None = None) -> Archive:
+    return Archive(directory, JournalSettings(), MapConfig(), SystemClock(), site)
 
 
 @pytest.fixture
@@ -141,3 +141,16 @@ def test_a_journal_of_another_program_or_time(kept, harm, told) -> None:
     db.execute(harm)
     db.close()
     refused(kept, told)
+
+
+def test_the_map_of_another_site(kept) -> None:
+    for site in ("gpom/v1/north", "gpom/v1/north", None):
+        one = archive(kept, site)
+        one.open()
+        one.close()
+    with pytest.raises(JournalError, match=r"the map of gpom/v1/north.*is gpom/v1/south.*delete"):
+        archive(kept, "gpom/v1/south").open()
+    (kept / "site").unlink()
+    south = archive(kept, "gpom/v1/south")
+    south.open()
+    south.close()
