@@ -273,7 +273,7 @@ class SqliteJournal:
         if isinstance(error, sqlite3.OperationalError | OSError) and os.path.lexists(self.path):
             return (
                 f"the journal {self.path} cannot be opened: {error}; it must be a file that this "
-                "user may read and write, on a disk that is there"
+                "user may read and write, on a disk that is there and has some room"
             )
         return (
             f"the journal {self.path} is damaged ({error}); nothing was changed. Restore it from a "

@@ -333,18 +333,6 @@ def test_unexpected_errors(client, monkeypatch) -> None:
     assert "secret" not in json.dumps(_problem(response, 500))
 
 
-@pytest.mark.parametrize("path", ["/v1/query", "/v1/flush"])
-@pytest.mark.parametrize("stated", [True, False])
-def test_bodies_that_are_too_large_are_refused_on_every_route(client, path, stated) -> None:
-    async def chunked():
-        for _ in range(5):
-            yield b" " * 1000
-
-    content = b" " * 5000 if stated else chunked()
-    response = client.post(path, content=content, headers={"content-type": JSON})
-    assert "4096" in _problem(response, 413)["detail"]
-
-
 def test_busy_service_says_when_to_come_back() -> None:
     http = HttpSettings(query_threads=1, queries_waiting_max=0, retry_after_s=3)
     app = create_app(MapService(Settings(http=http), Ports(MemorySource())))
