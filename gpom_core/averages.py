@@ -229,6 +229,26 @@ def point_gram(points: _Floats, out: _Floats) -> None:
 
 
 @compiled
+def point_gram_upper(points: _Floats, out: _Floats) -> None:
+    """As `point_gram`, in two dimensions and the upper triangle alone."""
+    n = points.shape[1]
+    r2 = np.empty(n * (n + 1) // 2)
+    filled = 0
+    for i in range(n):
+        x, y, row = points[0, i:], points[1, i:], r2[filled : filled + n - i]
+        for j in range(n - i):
+            dx, dy = x[j] - x[0], y[j] - y[0]
+            row[j] = -0.5 * (dx * dx + dy * dy)
+        filled += n - i
+    for k in range(filled):
+        r2[k] = exp_neg(r2[k])
+    filled = 0
+    for i in range(n):
+        out[i, i:n] = r2[filled : filled + n - i]
+        filled += n - i
+
+
+@compiled
 def _by_nodes(span: _Floats) -> tuple[_Integers, _Floats, _Integers]:
     """Lines (d, n) ordered by falling number of nodes, points last.
 

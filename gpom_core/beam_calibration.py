@@ -83,11 +83,12 @@ def _without(
     h, o = expert.hyperparameters, expert.observations
     signal = h.signal_std**2
     k = signal * mixture.cross(o.kinds, o.geometry, points, h.length_scale_m)
-    q = k @ expert.precision
+    precision = expert.precision
+    q = k @ precision
     mean, variance = k @ expert.weights, signal - np.einsum("ij,ij->i", q, k)
     for j, b in enumerate(beam):
         left_out = np.flatnonzero(cluster.beam == b)
-        block = expert.precision[np.ix_(left_out, left_out)]
+        block = precision[np.ix_(left_out, left_out)]
         both = np.linalg.solve(block, np.stack([expert.weights[left_out], q[j, left_out]], axis=1))
         mean[j] -= q[j, left_out] @ both[:, 0]
         variance[j] += q[j, left_out] @ both[:, 1]

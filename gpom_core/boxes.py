@@ -70,6 +70,24 @@ def box_sides(low: _Floats, width: _Floats) -> BoxSides:
 @compiled
 def box_gram(sides: BoxSides, first: int, out: _Floats) -> None:
     """Kernel between all pairs of n boxes, into n rows and columns of out from `first` on."""
+    _multiply(_pair_tables(sides), sides.side, first, out)
+
+
+@compiled
+def box_gram_upper(sides: BoxSides, first: int, out: _Floats) -> None:
+    """As `box_gram`, in two dimensions and the upper triangle alone."""
+    tables, side = _pair_tables(sides), sides.side
+    n = side.shape[1]
+    for i in range(n):
+        x, y = tables[0, side[0, i], i:], tables[1, side[1, i], i:]
+        row = out[first + i, first + i : first + n]
+        for j in range(n - i):
+            row[j] = x[j] * y[j]
+
+
+@compiled
+def _pair_tables(sides: BoxSides) -> _Floats:
+    """Kernel between each side of each axis and all n boxes' sides, (d, sides, n)."""
     d, n = sides.side.shape
     pair, value = _side_gram(sides)
     tables = np.empty((d, sides.used.max(), n))
@@ -78,12 +96,29 @@ def box_gram(sides: BoxSides, first: int, out: _Floats) -> None:
             numbers, row = pair[axis, u], tables[axis, u]
             for j in range(n):
                 row[j] = value[numbers[sides.side[axis, j]]]
-    _multiply(tables, sides.side, first, out)
+    return tables
 
 
 @compiled
 def box_rows(sides: BoxSides, points: _Floats, out: _Floats) -> None:
     """Kernel between n boxes and m points (d, m), into out (n, m)."""
+    _multiply(_point_tables(sides, points), sides.side, 0, out)
+
+
+@compiled
+def box_columns(sides: BoxSides, points: _Floats, first: int, out: _Floats) -> None:
+    """As `box_rows`, in two dimensions, into columns from `first` on of out's first m rows."""
+    tables, side = _point_tables(sides, points), sides.side
+    m = points.shape[1]
+    for j in range(side.shape[1]):
+        x, y = tables[0, side[0, j]], tables[1, side[1, j]]
+        for k in range(m):
+            out[k, first + j] = x[k] * y[k]
+
+
+@compiled
+def _point_tables(sides: BoxSides, points: _Floats) -> _Floats:
+    """Kernel between each side of each axis and m points (d, m), (d, sides, m)."""
     d, m = points.shape
     most = sides.used.max()
     tables = np.empty((d, most, m))
@@ -103,7 +138,7 @@ def box_rows(sides: BoxSides, points: _Floats, out: _Floats) -> None:
                 if sides.kind[axis, u] == w:
                     tables[axis, u] = value[filled : filled + m]
                     filled += m
-    _multiply(tables, sides.side, 0, out)
+    return tables
 
 
 @compiled

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.errors import GpomError
-from gpom_core.inverse import addresses_for, inverse_spd
+from gpom_core.inverse import addresses_for, padded, solve_and_pack, unpacked
 from gpom_core.jit import compiled
 from gpom_core.kernels import gram
 from gpom_core.observations import Observations
@@ -63,15 +63,20 @@ class Expert:
     Attributes:
         observations: with the noise that the expert was trained with.
         weights: (n,) alpha = K^-1 y, where K holds the noise.
-        precision: (n, n) K^-1.
+        packed: (n (n + 1) / 2,) upper triangle of K^-1, row by row.
         log_likelihood: log marginal likelihood of the targets.
     """
 
     observations: Observations
     hyperparameters: Hyperparameters
     weights: NDArray[np.float64]
-    precision: NDArray[np.float64]
+    packed: NDArray[np.float64]
     log_likelihood: float
+
+    @property
+    def precision(self) -> NDArray[np.float64]:
+        """K^-1, (n, n), made anew each time."""
+        return unpacked(self.packed, len(self.weights))
 
     def leave_one_out(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Latent mean and variance at each observation when it is left out, (n,) each.
@@ -79,7 +84,8 @@ class Expert:
         DESIGN's m = y - [K^-1 y] / [K^-1]_ii and v = 1 / [K^-1]_ii, the observation's own noise
         taken off the variance (Rasmussen & Williams, section 5.4.2).
         """
-        diagonal = np.diagonal(self.precision)
+        n = len(self.weights)
+        diagonal = self.packed[np.cumsum([0, *range(n, 1, -1)])]
         mean = self.observations.targets - self.weights / diagonal
         variance = 1.0 / diagonal - self.observations.noise_variance
         return mean, np.clip(variance, 1e-9, self.hyperparameters.signal_std**2)
@@ -96,59 +102,78 @@ def train(
     Raises:
         TrainingError: the covariance is not positive definite, which finite evidence cannot cause.
     """
+    refuse_empty(observations)
+    observations = noisy(observations, hyperparameters)
+    n = len(observations)
+    k = gram(observations.kinds, observations.geometry, hyperparameters.length_scale_m)
+    weights, packed = np.empty(n), np.empty(n * (n + 1) // 2)
+    log_likelihood = condition(
+        _room_for(k), observations.targets, observations.noise_variance,
+        hyperparameters.signal_std**2, addresses_for(n), weights, packed,
+    )  # fmt: skip
+    refuse_indefinite(observations, log_likelihood)
+    return Expert(observations, hyperparameters, weights, packed, log_likelihood)
+
+
+def noisy(observations: Observations, hyperparameters: Hyperparameters) -> Observations:
+    """The observations with the noise that the hyperparameters give them."""
+    noise_variance = hyperparameters.noise_variance(observations)
+    if noise_variance is observations.noise_variance:
+        return observations
+    return replace(observations, noise_variance=noise_variance)
+
+
+def refuse_empty(observations: Observations) -> None:
+    """Raise a TrainingError if there is nothing to train on."""
     if len(observations) == 0:
         raise TrainingError("an expert needs at least one observation, got none")
-    noise_variance = hyperparameters.noise_variance(observations)
-    if noise_variance is not observations.noise_variance:
-        observations = replace(observations, noise_variance=noise_variance)
-    k = gram(observations.kinds, observations.geometry, hyperparameters.length_scale_m)
-    weights, log_likelihood = _condition(
-        k,
-        observations.targets,
-        noise_variance,
-        hyperparameters.signal_std**2,
-        addresses_for(len(k)),
-    )
+
+
+def refuse_indefinite(observations: Observations, log_likelihood: float) -> None:
+    """Raise a TrainingError if the log likelihood tells that there was no inverse."""
     if not isfinite(log_likelihood):
         raise TrainingError(
             f"the covariance of {len(observations)} observations is not positive definite; "
             "check that their geometry and noise are finite"
         )
-    return Expert(
-        observations=observations,
-        hyperparameters=hyperparameters,
-        weights=weights,
-        precision=k,
-        log_likelihood=log_likelihood,
-    )
 
 
 @compiled
-def _condition(
-    k: NDArray[np.float64],
+def _room_for(k: NDArray[np.float64]) -> NDArray[np.float64]:
+    edge = padded(len(k))
+    a = np.empty((edge, edge))
+    a[: len(k), : len(k)] = k
+    return a
+
+
+@compiled
+def condition(
+    a: NDArray[np.float64],
     targets: NDArray[np.float64],
     noise_variance: NDArray[np.float64],
     signal_variance: float,
     addresses: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], float]:
-    """Turn the kernel (n, n) into the precision, in place.
+    weights: NDArray[np.float64],
+    packed: NDArray[np.float64],
+) -> float:
+    """From the kernel to an expert's weights (n,) and packed precision, which are written.
+
+    Args:
+        a: upper triangle of the kernel, as `inverse.sweep` takes it; destroyed.
+        addresses: `inverse.addresses_for(n)`.
 
     Returns:
-        The weights (n,) and the log marginal likelihood, which is not finite when the covariance
-        is not positive definite.
+        The log marginal likelihood, which is not finite when the covariance is not positive
+        definite.
     """
-    n = len(k)
+    n = len(targets)
     for i in range(n):
-        for j in range(n):
-            k[i, j] *= signal_variance
-        k[i, i] += noise_variance[i]
-    log_determinant = inverse_spd(k, addresses)
-    weights = np.zeros(n)
-    for j in range(n):
-        target, row = targets[j], k[j]
-        for i in range(n):
-            weights[i] += row[i] * target
+        if signal_variance != 1.0:
+            for j in range(i, n):
+                a[i, j] *= signal_variance
+        a[i, i] += noise_variance[i]
+    log_determinant = solve_and_pack(a, targets, addresses, weights, packed)
     fit = 0.0
     for i in range(n):
         fit += targets[i] * weights[i]
-    return weights, -0.5 * (fit + log_determinant + n * _LOG_TWO_PI)
+    return -0.5 * (fit + log_determinant + n * _LOG_TWO_PI)

@@ -21,9 +21,10 @@ from gpom_core import tiles as tile_room
 from gpom_core.clusters import Clusters
 from gpom_core.config import MapConfig
 from gpom_core.errors import GpomError, InvalidScanError
-from gpom_core.expert import Hyperparameters, train
+from gpom_core.expert import Hyperparameters
 from gpom_core.link import Link
 from gpom_core.mapper import Mapper, TrainedExpert
+from gpom_core.member import train_member
 from gpom_core.observations import Observations
 from gpom_core.recalibration import SCANS
 from gpom_core.rows import COORDINATE_LIMIT, NONE, Rows
@@ -379,14 +380,13 @@ def _trainer(arrays: Image, start: NDArray[np.int64]) -> Callable[[int], Trained
             *(np.ascontiguousarray(arrays[f"seen_{name}"][part]) for name in _SEEN)  # type: ignore[arg-type]
         )
         chosen = Hyperparameters(*(float(h) for h in arrays["expert_hyperparameters"][i]))
-        # The noise was scaled when it was dumped.
-        plain = Hyperparameters(chosen.length_scale_m, chosen.signal_std)
-        expert = replace(train(observations, plain), hyperparameters=chosen)
-        return TrainedExpert(
+        return train_member(
             int(arrays["expert_cluster"][i]),
             int(arrays["expert_revision"][i]),
-            expert,
+            observations,
+            chosen,
             np.asarray(arrays["expert_line"][i], np.float64),
+            has_its_noise=True,  # it got it before it was dumped
         )
 
     return trained

@@ -43,10 +43,35 @@ def inverse_spd(k: _Floats, addresses: NDArray[np.int64]) -> float:
     n = len(k)
     if n > LARGEST_SWEPT:
         return inverse_by_lapack(k, addresses)
-    blocks = (n + LANES - 1) // LANES
-    edge = blocks * LANES
-    a = np.empty((edge, edge))  # whole vectors; what is beyond n is the identity
+    a = np.empty((padded(n), padded(n)))
     _copy_in(k, a)
+    log_determinant = sweep(a, n)
+    _copy_out(a, k)
+    return log_determinant
+
+
+@compiled
+def padded(n: int) -> int:
+    """Rows of the matrix that `sweep` takes for one of n rows: whole vectors."""
+    return (n + LANES - 1) // LANES * LANES
+
+
+@compiled
+def sweep(a: _Floats, n: int) -> float:
+    """Turn a matrix (n, n), symmetric and positive definite, into minus its inverse, in place.
+
+    Args:
+        a: (`padded(n)`, `padded(n)`), of which the upper triangle of the first n rows and columns
+            is read and written. The others become garbage.
+
+    Returns:
+        The log determinant, or NaN when the matrix is not positive definite.
+    """
+    edge = padded(n)
+    blocks = edge // LANES
+    for i in range(edge):  # the identity beyond n
+        for j in range(max(n, i), edge):
+            a[i, j] = 1.0 if i == j else 0.0
     corner, shares = np.empty((LANES, LANES)), np.empty(LANES)
     half, whole = np.empty((LANES, edge)), np.empty((LANES, edge))
     log_determinant = 0.0
@@ -59,8 +84,80 @@ def inverse_spd(k: _Floats, addresses: NDArray[np.int64]) -> float:
         _solve(corner, shares, half.ctypes.data, whole.ctypes.data, blocks)
         _subtract(a.ctypes.data, blocks, block, half)
         _put(a, block, whole)
-    _copy_out(a, k)
     return log_determinant
+
+
+@compiled
+def solve_and_pack(
+    a: _Floats, y: _Floats, addresses: NDArray[np.int64], x: _Floats, packed: _Floats
+) -> float:
+    """Invert a symmetric positive definite matrix A (n, n) and solve A x = y.
+
+    Args:
+        a: upper triangle of A, as `sweep` takes it; destroyed.
+        y: (n,). addresses: `addresses_for(n)`.
+        x: (n,), out. packed: (n (n + 1) / 2,) rows of the inverse's upper triangle, out.
+
+    Returns:
+        The log determinant, or NaN when A is not positive definite.
+    """
+    n = len(y)
+    if n > LARGEST_SWEPT:
+        k = a[:n, :n].copy()
+        log_determinant = inverse_by_lapack(k, addresses)
+        for i in range(n):
+            for j in range(i, n):
+                a[i, j] = -k[i, j]
+    else:
+        log_determinant = sweep(a, n)
+    _pack(a, y, x, packed)
+    return log_determinant
+
+
+@compiled
+def _pack(a: _Floats, y: _Floats, x: _Floats, packed: _Floats) -> None:
+    """Write minus the upper triangle of `a`, packed, and its product with y, in one pass."""
+    n, blocks = len(y), len(a) // LANES
+    seen, sums, kept = np.zeros(blocks * LANES), np.zeros(blocks * LANES), np.empty(LANES)
+    seen[:n] = y
+    source, target = a.ctypes.data, packed.ctypes.data
+    there, here = seen.ctypes.data, sums.ctypes.data
+    whole, zero, at = n // LANES, spread(0.0), 0
+    for i in range(n):
+        block = i // LANES
+        end = min(block * LANES + LANES, n)
+        mine = -a[i, i] * y[i]
+        packed[at] = -a[i, i]
+        for j in range(i + 1, end):
+            value = -a[i, j]
+            packed[at + j - i] = value
+            mine += value * y[j]
+            sums[j] += value * y[i]
+        total, again = zero, spread(y[i])
+        for chunk in range(block + 1, whole):
+            values = zero - load(source, i * blocks + chunk)
+            store(target + 8 * (at - i), chunk, values)
+            total = total + values * load(there, chunk)
+            store(here, chunk, load(here, chunk) + values * again)
+        for j in range(max(whole * LANES, end), n):
+            value = -a[i, j]
+            packed[at + j - i] = value
+            mine += value * y[j]
+            sums[j] += value * y[i]
+        store(kept.ctypes.data, 0, total)
+        for p in range(LANES):
+            mine += kept[p]
+        sums[i] += mine
+        at += n - i
+    x[:] = sums[:n]
+
+
+def unpacked(packed: _Floats, n: int) -> _Floats:
+    """The symmetric matrix (n, n) whose upper triangle, row by row, is `packed`."""
+    out = np.empty((n, n))
+    rows, columns = np.triu_indices(n)
+    out[rows, columns] = out[columns, rows] = packed
+    return out
 
 
 @compiled
@@ -73,11 +170,6 @@ def _copy_in(k: _Floats, a: _Floats) -> None:
             store(target, i * blocks + chunk, load(source + 8 * i * n, chunk))
         for j in range(whole * LANES, n):
             a[i, j] = k[i, j]
-        for j in range(n, edge):
-            a[i, j] = 0.0
-    for i in range(n, edge):
-        for j in range(whole * LANES, edge):
-            a[i, j] = 1.0 if i == j else 0.0
 
 
 @compiled

@@ -27,8 +27,16 @@ from gpom_core.averages import (
     line_averages,
     line_gram,
     point_gram,
+    point_gram_upper,
 )
-from gpom_core.boxes import BoxSides, box_gram, box_rows, box_sides
+from gpom_core.boxes import (
+    BoxSides,
+    box_columns,
+    box_gram,
+    box_gram_upper,
+    box_rows,
+    box_sides,
+)
 from gpom_core.jit import compiled, vectorised
 from gpom_core.layout import line_nodes, whitened
 from gpom_core.special import exp_neg
@@ -76,7 +84,7 @@ def gram(kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike) -> _Flo
     """
     checked_kinds, checked_geometry, inverse = _typed(kinds, geometry, length_scale)
     out = np.empty((checked_kinds.size, checked_kinds.size))
-    _refuse(_gram_or_fault(checked_kinds, checked_geometry, inverse, out))
+    refuse(_gram_or_fault(checked_kinds, checked_geometry, inverse, out))
     return out
 
 
@@ -130,11 +138,12 @@ def _check(
 ) -> tuple[NDArray[np.uint8], _Floats, _Floats]:
     """Arguments as the compiled functions need them; the length scale inverted, (d,)."""
     typed = _typed(kinds, geometry, length_scale)
-    _refuse(_fault(*typed))
+    refuse(_fault(*typed))
     return typed
 
 
-def _refuse(fault: int) -> None:
+def refuse(fault: int) -> None:
+    """Raise the ValueError of a fault that is not 0."""
     if fault:
         raise ValueError(_FAULTS[fault])
 
@@ -270,6 +279,37 @@ def gram_into(
         for i in range(place.size):
             for j in range(place.size):
                 out[place[i], place[j]] = ordered[i, j]
+
+
+@compiled
+def gram_upper_into(
+    kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats, out: _Floats
+) -> int:
+    """Upper triangle of `gram`, into the first n rows and columns of out; or a fault, see `refuse`.
+
+    Fast where points come first and boxes then, in two dimensions: what a map is made of.
+    """
+    fault = _fault(kinds, geometry, inverse_length_scale)
+    if fault != 0:
+        return fault
+    n, points = len(kinds), 0
+    while points < n and kinds[points] == _POINT:
+        points += 1
+    if geometry.shape[2] == 2 and (kinds[points:] == _BOX).all():
+        start, _ = whitened(geometry, np.arange(points), inverse_length_scale)
+        point_gram_upper(start, out)
+        if points < n:
+            low, width = whitened(geometry, np.arange(points, n), inverse_length_scale)
+            sides = box_sides(low, width)
+            box_columns(sides, start, points, out)
+            box_gram_upper(sides, points, out)
+        return 0
+    dense = np.empty((n, n))
+    gram_into(kinds, geometry, inverse_length_scale, dense)
+    for i in range(n):
+        for j in range(i, n):
+            out[i, j] = dense[i, j]
+    return 0
 
 
 @compiled

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence, UpdateReport
-from gpom_core.expert import Hyperparameters, TrainingError, train
+from gpom_core.expert import Hyperparameters, TrainingError
 from gpom_core.learning import LearningRule, learn
 from gpom_core.link import Link
-from gpom_core.member import Member
+from gpom_core.member import Member, train_member
 from gpom_core.observations import Observations
 from gpom_core.recalibration import SCANS, CalibrationJob
 from gpom_core.scan import Scan
@@ -62,8 +62,7 @@ class TrainingJob:
                 start=self.learned_before,
                 clock=monotonic,
             ).hyperparameters
-        expert = train(self.observations, chosen)
-        return TrainedExpert(self.cluster_id, self.revision, expert, self.line)
+        return train_member(self.cluster_id, self.revision, self.observations, chosen, self.line)
 
 
 def _run_or_error(job: TrainingJob) -> TrainedExpert | TrainingError:

@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from threading import local
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.expert import Expert
+from gpom_core.expert import (
+    Expert,
+    Hyperparameters,
+    condition,
+    noisy,
+    refuse_empty,
+    refuse_indefinite,
+)
+from gpom_core.inverse import LARGEST_SWEPT, addresses_for, padded
 from gpom_core.jit import compiled
+from gpom_core.kernels import gram_upper_into, refuse
+from gpom_core.observations import Observations
 from gpom_core.reach import TILE_BITS, TILE_OFFSET, index_of, reach_of, tile_key
 from gpom_core.sides import sides_of
 
@@ -42,45 +54,43 @@ CUTOFF_SCALES = 4.75
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Member:
-    """An expert in the committee.
+    """An expert in the committee; made by `train_member` or `member_of`.
 
     Attributes:
         revision: of the evidence that it was trained on.
         line: (2, 2) ends of the cluster's line, metres.
-        block: the memory behind all that follows and is an array.
-        bounds: of the evidence.
-        table: (`COLUMNS`,) addresses of the arrays that queries read, and their lengths: those of
-            the expert, of `Sides` and of `Reach`; and more, see there.
-        tiles: (t,) keys of the tiles that the evidence reaches.
-        sectors: keys of the sectors that they are in.
+        block: the memory behind all that queries read but the observations: one array, for many
+            small ones would take longer to make than their content.
     """
 
     cluster_id: int
     revision: int
     expert: Expert
     line: NDArray[np.float64]
-    block: NDArray[np.int64] = field(init=False, repr=False)
-    bounds: Bounds = field(init=False)
-    table: NDArray[np.int64] = field(init=False, repr=False)
-    tiles: NDArray[np.int64] = field(init=False, repr=False)
-    sectors: frozenset[int] = field(init=False, repr=False)
+    block: NDArray[np.int64] = field(repr=False)
 
-    def __post_init__(self) -> None:
-        o, h = self.expert.observations, self.expert.hyperparameters
-        arrays = (o.kinds, o.geometry, self.expert.weights, self.expert.precision)
-        for array in arrays:
-            if not array.flags.c_contiguous:
-                raise ValueError("an expert's arrays are read by address: they must be contiguous")
-        # One block of memory, not nine arrays: these would take longer to make than their content.
-        block = _index(*arrays, h.length_scale_m, h.signal_std)
-        table, numbers = block[:COLUMNS], block[BOUNDS:COLUMNS].view(np.float64)
-        tiles, sectors = int(table[TILE_COUNT]), int(table[SECTOR_COUNT])
-        write = object.__setattr__
-        write(self, "block", block)
-        write(self, "bounds", tuple(numbers.tolist()))
-        write(self, "table", table)
-        write(self, "tiles", block[COLUMNS : COLUMNS + tiles])
-        write(self, "sectors", frozenset(block[len(block) - sectors :].tolist()))
+    @property
+    def table(self) -> NDArray[np.int64]:
+        """Addresses of the arrays that queries read, their lengths and more, (`COLUMNS`,)."""
+        return self.block[:COLUMNS]
+
+    @property
+    def tiles(self) -> NDArray[np.int64]:
+        """Keys of the tiles that the evidence reaches, (t,)."""
+        return self.block[COLUMNS : COLUMNS + int(self.block[TILE_COUNT])]
+
+    @property
+    def sectors(self) -> list[int]:
+        """Keys of the sectors that they are in; one may come up more than once."""
+        end = _weights_at(self.block)
+        keys: list[int] = self.block[end - int(self.block[SECTOR_COUNT]) : end].tolist()
+        return keys
+
+    @property
+    def bounds(self) -> Bounds:
+        """Of the evidence."""
+        xmin, ymin, xmax, ymax = self.block[BOUNDS:COLUMNS].view(np.float64).tolist()
+        return xmin, ymin, xmax, ymax
 
     @property
     def reach(self) -> Bounds:
@@ -92,32 +102,129 @@ class Member:
     @property
     def size_bytes(self) -> int:
         """Memory of all that queries read."""
-        o, e = self.expert.observations, self.expert
-        arrays = (o.kinds, o.geometry, e.weights, e.precision, self.block)
-        return sum(array.nbytes for array in arrays)
+        o = self.expert.observations
+        return o.kinds.nbytes + o.geometry.nbytes + self.block.nbytes
 
-    def __reduce__(self) -> tuple[type[Member], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., Member], tuple[object, ...]]:
         # Addresses do not survive a journey to another process.
-        return type(self), (self.cluster_id, self.revision, self.expert, self.line)
+        return member_of, (self.cluster_id, self.revision, self.expert, self.line)
+
+
+def train_member(
+    cluster_id: int,
+    revision: int,
+    observations: Observations,
+    hyperparameters: Hyperparameters,
+    line: NDArray[np.float64],
+    *,
+    has_its_noise: bool = False,
+) -> Member:
+    """Train an expert for the committee: `expert.train` and its index in one compiled call.
+
+    Args:
+        has_its_noise: that of the observations needs no factor of the hyperparameters any more.
+
+    Raises:
+        TrainingError: there are no observations, or the covariance is not positive definite.
+        ValueError: the observations are no shapes.
+    """
+    refuse_empty(observations)
+    if not has_its_noise:
+        observations = noisy(observations, hyperparameters)
+    o = observations
+    block, log_likelihood, fault = _trained(
+        o.kinds, o.geometry, o.targets, o.noise_variance,
+        hyperparameters.length_scale_m, hyperparameters.signal_std,
+        addresses_for(len(o)), _thread.scratch,
+    )  # fmt: skip
+    refuse(fault)
+    refuse_indefinite(o, log_likelihood)
+    weights, packed = _inside(block)
+    expert = Expert(o, hyperparameters, weights, packed, log_likelihood)
+    return Member(cluster_id, revision, expert, line, block)
+
+
+def member_of(cluster_id: int, revision: int, expert: Expert, line: NDArray[np.float64]) -> Member:
+    """A trained expert with its index; its weights and precision are copied beside it."""
+    o, h = expert.observations, expert.hyperparameters
+    block = _index(o.kinds, o.geometry, h.length_scale_m, h.signal_std)
+    weights, packed = _inside(block)
+    weights[:], packed[:] = expert.weights, expert.packed
+    inside = replace(expert, weights=weights, packed=packed)
+    return Member(cluster_id, revision, inside, line, block)
+
+
+class _Thread(local):
+    """What each thread has of its own: room for the largest matrix that is swept."""
+
+    def __init__(self) -> None:
+        self.scratch = np.empty(LARGEST_SWEPT**2)  # memory only as far as it is used
+
+
+_thread = _Thread()
+
+
+def _weights_at(block: NDArray[np.int64]) -> int:
+    n = int(block[SIZE])
+    return len(block) - n - n * (n + 1) // 2
+
+
+def _inside(block: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The weights and the packed precision in a block."""
+    numbers, at = block.view(np.float64), _weights_at(block)
+    end = at + int(block[SIZE])
+    return numbers[at:end], numbers[end:]
+
+
+@compiled
+def _trained(
+    kinds: NDArray[np.uint8],
+    geometry: NDArray[np.float64],
+    targets: NDArray[np.float64],
+    noise_variance: NDArray[np.float64],
+    length_scale_m: float,
+    signal_std: float,
+    addresses: NDArray[np.int64],
+    scratch: NDArray[np.float64],
+) -> tuple[NDArray[np.int64], float, int]:
+    """Train an expert; its block, log likelihood, and the fault of its shapes."""
+    n = len(kinds)
+    edge = padded(n)
+    room = scratch if n <= LARGEST_SWEPT else np.empty(edge * edge)
+    a = room[: edge * edge].reshape(edge, edge)
+    inverse = np.full(geometry.shape[2], 1.0 / length_scale_m)
+    fault = gram_upper_into(kinds, geometry, inverse, a)
+    if fault != 0:
+        return np.empty(0, np.int64), 0.0, fault
+    block = _index(kinds, geometry, length_scale_m, signal_std)
+    end = len(block) - n * (n + 1) // 2
+    numbers = block.view(np.float64)
+    log_likelihood = condition(
+        a, targets, noise_variance, signal_std * signal_std, addresses,
+        numbers[end - n : end], numbers[end:],
+    )  # fmt: skip
+    return block, log_likelihood, 0
 
 
 @compiled
 def _index(
     kinds: NDArray[np.uint8],
     geometry: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    precision: NDArray[np.float64],
     length_scale_m: float,
     signal_std: float,
 ) -> NDArray[np.int64]:
-    """The block of a `Member`: its table, the tiles, what else that leads to, the sectors."""
+    """The block of a `Member`, with room for the weights and the packed precision.
+
+    In this order: its table, the tiles, what else that leads to, the sectors, and those two.
+    """
     n = len(kinds)
     reach = reach_of(geometry, TILE_M, CUTOFF_SCALES * length_scale_m)
     sides = sides_of(kinds, geometry, length_scale_m)
     sectors = _sectors_of(reach.tiles)
     tiles, members, edges = len(reach.tiles), len(reach.members), len(sides.edges)
     words = (members + 1) // 2  # of 64 bits; corners take two for an observation
-    block = np.empty(COLUMNS + 2 * tiles + 1 + words + edges + 3 * n + len(sectors), np.int64)
+    size = COLUMNS + 2 * tiles + 1 + words + edges + 3 * n + len(sectors)
+    block = np.empty(size + n + n * (n + 1) // 2, np.int64)
     numbers, halves = block.view(np.float64), block.view(np.int32)
     at = COLUMNS
     block[TILES] = at
@@ -138,11 +245,11 @@ def _index(
     block[FACTORS] = at
     numbers[at : at + n] = sides.factor
     at += n
-    block[at:] = sectors
-    for column in (TILES, STARTS, MEMBERS, EDGES, CORNERS, FACTORS):
+    block[at:size] = sectors
+    block[WEIGHTS], block[PRECISION] = size, size + n
+    for column in (TILES, STARTS, MEMBERS, EDGES, CORNERS, FACTORS, WEIGHTS, PRECISION):
         block[column] = block.ctypes.data + 8 * block[column]
     block[KINDS], block[GEOMETRY] = kinds.ctypes.data, geometry.ctypes.data
-    block[WEIGHTS], block[PRECISION] = weights.ctypes.data, precision.ctypes.data
     block[SIZE], block[TILE_COUNT], block[SECTOR_COUNT] = n, tiles, len(sectors)
     block[HOME] = reach.tiles[0] if tiles > 0 else 0
     numbers[INVERSE], numbers[SIGNAL] = 1.0 / length_scale_m, signal_std * signal_std

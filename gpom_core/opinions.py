@@ -12,7 +12,7 @@ from numba import carray
 from numpy.typing import NDArray
 
 from gpom_core.committee import contribution
-from gpom_core.jit import compiled
+from gpom_core.jit import compiled, inlined
 from gpom_core.kernels import point_segment
 from gpom_core.lanes import LANES, above, any_above, load, spread, store
 from gpom_core.member import (
@@ -114,6 +114,7 @@ def tile_sums(
                 )  # fmt: skip
             if found == 0:
                 continue
+            _ascending(near, value.ctypes.data, found)
             _moments(
                 value.ctypes.data, near.ctypes.data, found, tables[k, WEIGHTS],
                 tables[k, PRECISION], size, mean.ctypes.data, explained.ctypes.data,
@@ -205,34 +206,54 @@ def _near_boxes(
 
 
 @compiled
+def _ascending(near: _Integers, value: int, found: int) -> None:
+    """Sort what is near by number, with its values; almost always it is."""
+    for a in range(1, found):
+        b = a
+        while b > 0 and near[b - 1] > near[b]:
+            near[b - 1], near[b] = near[b], near[b - 1]
+            v, w = load(value, b - 1), load(value, b)
+            store(value, b - 1, w)
+            store(value, b, v)
+            b -= 1
+
+
+@compiled
 def _moments(
-    value: int, near: int, found: int, weights: int, precision: int, size: int,
+    value: int, near: int, found: int, weights: int, packed: int, size: int,
     mean: int, explained: int,
 ) -> None:  # fmt: skip
-    """Sums over the near observations, k' alpha and k' K^-1 k; all arrays by address."""
+    """Sums over the near observations, k' alpha and k' K^-1 k; all arrays by address.
+
+    K^-1 is symmetric and packed: what is right of the diagonal counts twice.
+    """
     index = carray(pointer(near), (found,), np.int64)
     weight = carray(pointer(weights), (size,), np.float64)
-    rows = carray(pointer(precision), (size * size,), np.float64)
+    rows = carray(pointer(packed), (size * (size + 1) // 2,), np.float64)
     total, both = spread(0.0), spread(0.0)
     for a in range(0, found - 1, 2):  # two rows at once: each value is read half as often
         i, j = index[a], index[a + 1]
-        first, second = spread(0.0), spread(0.0)
-        for b in range(a):
-            v, column = load(value, b), index[b]
-            first = first + spread(rows[i * size + column]) * v
-            second = second + spread(rows[j * size + column]) * v
+        one, other = _row(i, size), _row(j, size)
         v, w = load(value, a), load(value, a + 1)
-        second = second + spread(rows[j * size + i]) * v
+        # In this order whoever is whose neighbour: what is out of a lane's reach changes nothing.
+        first, second = spread(rows[one + j]) * w, spread(0.0)
+        for b in range(a + 2, found):
+            u, column = load(value, b), index[b]
+            first = first + spread(rows[one + column]) * u
+            second = second + spread(rows[other + column]) * u
         total = total + spread(weight[i]) * v + spread(weight[j]) * w
-        both = both + v * (first + first + spread(rows[i * size + i]) * v)
-        both = both + w * (second + second + spread(rows[j * size + j]) * w)
+        both = both + v * (first + first + spread(rows[one + i]) * v)
+        both = both + w * (second + second + spread(rows[other + j]) * w)
     if found % 2 == 1:
         i = index[found - 1]
-        first = spread(0.0)
-        for b in range(found - 1):
-            first = first + spread(rows[i * size + index[b]]) * load(value, b)
         v = load(value, found - 1)
         total = total + spread(weight[i]) * v
-        both = both + v * (first + first + spread(rows[i * size + i]) * v)
+        both = both + v * (spread(rows[_row(i, size) + i]) * v)
     store(mean, 0, total)
     store(explained, 0, both)
+
+
+@inlined
+def _row(i: int, size: int) -> int:
+    """Where column 0 of row i of a packed triangle would be."""
+    return i * size - i * (i + 1) // 2

@@ -66,11 +66,11 @@ def reach_of(geometry: NDArray[np.float64], tile_m: float, cutoff_m: float) -> R
         return Reach(np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0, np.int32))
     x0, y0 = first[:, 0].min(), first[:, 1].min()
     columns, rows = last[:, 0].max() - x0 + 1, last[:, 1].max() - y0 + 1
+    if columns * rows <= _COUNTED_TILES:
+        return _counted(geometry, tile_m, cutoff_m, (first, last), (x0, y0, columns, rows))
     place, members = np.empty(room, np.int64), np.empty(room, np.int32)
     found = _pairs(geometry, tile_m, cutoff_m, (first, last), (x0, y0, rows), place, members)
     place, members = place[:found], members[:found]
-    if columns * rows <= _COUNTED_TILES:
-        return _counted(place, members, x0, y0, columns, rows)
     order = np.argsort(place, kind="mergesort")
     return _grouped(place[order], members[order], x0, y0, rows)
 
@@ -129,28 +129,85 @@ def _grouped(
 
 
 @compiled
+def _strips(
+    geometry: NDArray[np.float64],
+    tile: float,
+    cutoff: float,
+    tiles: tuple[NDArray[np.int64], NDArray[np.int64]],
+    window: tuple[int, int, int, int],
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Of each column of tiles that each shape may reach, the place of the first and how many.
+
+    They are one strip, for a box grown by a distance is convex.
+    """
+    (first, last), (x0, y0, _, rows) = tiles, window
+    strips = 0
+    for i in range(len(geometry)):
+        strips += last[i, 0] - first[i, 0] + 1
+    place, length = np.empty(strips, np.int64), np.empty(strips, np.int64)
+    across = np.empty(rows)
+    strip = 0
+    for i in range(len(geometry)):
+        g = geometry[i]
+        low_x, high_x = min(g[0, 0], g[1, 0]), max(g[0, 0], g[1, 0])
+        low_y, high_y = min(g[0, 1], g[1, 1]), max(g[0, 1], g[1, 1])
+        begin, reached = first[i, 1], last[i, 1] - first[i, 1] + 1
+        for r in range(reached):
+            dy = max((begin + r) * tile - high_y, low_y - (begin + r + 1) * tile, 0.0)
+            across[r] = dy * dy
+        for ix in range(first[i, 0], last[i, 0] + 1):
+            dx = max(ix * tile - high_x, low_x - (ix + 1) * tile, 0.0)
+            low, end = 0, reached
+            while low < end and not dx * dx + across[low] < cutoff * cutoff:
+                low += 1
+            while end > low and not dx * dx + across[end - 1] < cutoff * cutoff:
+                end -= 1
+            place[strip], length[strip] = (ix - x0) * rows + begin - y0 + low, end - low
+            strip += 1
+    return place, length
+
+
+@compiled
 def _counted(
-    place: NDArray[np.int64], members: NDArray[np.int32], x0: int, y0: int, columns: int, rows: int
+    geometry: NDArray[np.float64],
+    tile: float,
+    cutoff: float,
+    tiles: tuple[NDArray[np.int64], NDArray[np.int64]],
+    window: tuple[int, int, int, int],
 ) -> Reach:
-    """As `_grouped`; sorts pairs by counting, five times faster than comparing."""
+    """The index of shapes in a window that is not too large, by counting first and filling then.
+
+    Args:
+        tiles: (n, 2) first and last that each shape may reach.
+        window: first tile along x and y, and how many there are along each.
+    """
+    x0, y0, columns, rows = window
+    place, length = _strips(geometry, tile, cutoff, tiles, window)
     cursor = np.zeros(columns * rows + 1, np.int64)
-    for k in range(len(place)):
-        cursor[place[k] + 1] += 1
+    for strip in range(len(place)):
+        for t in range(place[strip], place[strip] + length[strip]):
+            cursor[t + 1] += 1
     used = 0
     for t in range(columns * rows):
         used += cursor[t + 1] > 0
-    tiles, starts = np.empty(used, np.int64), np.empty(used + 1, np.int64)
+    keys, starts = np.empty(used, np.int64), np.empty(used + 1, np.int64)
     n, t = 0, 1
     for ix in range(x0, x0 + columns):
         for iy in range(y0, y0 + rows):
             if cursor[t] > 0:
-                tiles[n], starts[n] = tile_key(ix, iy), cursor[t - 1]
+                keys[n], starts[n] = tile_key(ix, iy), cursor[t - 1]
                 n += 1
             cursor[t] += cursor[t - 1]
             t += 1
-    starts[n] = len(place)
-    out = np.empty(len(members), np.int32)
-    for k in range(len(place)):
-        out[cursor[place[k]]] = members[k]
-        cursor[place[k]] += 1
-    return Reach(tiles, starts, out)
+    found = length.sum()
+    starts[n] = found
+    members = np.empty(found, np.int32)
+    first, last = tiles
+    strip = 0
+    for i in range(len(geometry)):
+        for _ in range(first[i, 0], last[i, 0] + 1):
+            for t in range(place[strip], place[strip] + length[strip]):
+                members[cursor[t]] = i
+                cursor[t] += 1
+            strip += 1
+    return Reach(keys, starts, members)

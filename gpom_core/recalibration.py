@@ -10,7 +10,7 @@ few scans were there (measured in docs/accuracy.md).
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
-from gpom_core.expert import Hyperparameters, train
 from gpom_core.link import Link, fit
-from gpom_core.member import Member
+from gpom_core.member import Member, train_member
 from gpom_core.observations import LEAST_COUNT, Observations
 from gpom_core.rows import BOX, SEGMENT
 from gpom_core.scan import Scan
@@ -178,10 +177,10 @@ class _Index:
 
     @staticmethod
     def _trained(member: Member, rest: Observations) -> Member:
-        before = member.expert.hyperparameters
-        plain = Hyperparameters(before.length_scale_m, before.signal_std)
-        expert = replace(train(rest, plain), hyperparameters=before)
-        return Member(member.cluster_id, member.revision + 1, expert, member.line)
+        return train_member(
+            member.cluster_id, member.revision + 1, rest, member.expert.hyperparameters,
+            member.line, has_its_noise=True,
+        )  # fmt: skip
 
 
 def _places(

@@ -13,9 +13,9 @@ import pytest
 
 from clients.protocol import LabelledPoints, hit_ends, labelled_points, read_scans, split
 from gpom_core.config import MapConfig
-from gpom_core.expert import Hyperparameters, train
+from gpom_core.expert import Hyperparameters
 from gpom_core.mapper import Mapper
-from gpom_core.member import CUTOFF_SCALES, Member
+from gpom_core.member import CUTOFF_SCALES, Member, train_member
 from gpom_core.metrics import negative_log_likelihood
 from gpom_core.observations import Observations
 from gpom_core.scan import Scan
@@ -71,7 +71,7 @@ def committee_and_exact(
     prior = Hyperparameters(config.length_scale_m, config.signal_std)
 
     def member(number: int, observations: Observations) -> Member:
-        return Member(number, 1, train(observations, prior), np.zeros((2, 2)))
+        return train_member(number, 1, observations, prior, np.zeros((2, 2)))
 
     def of(groups: list[Observations]) -> Snapshot:
         snapshot = Snapshot().swapped([member(i, group) for i, group in enumerate(groups)])

@@ -4,7 +4,14 @@ import mpmath
 import numpy as np
 import pytest
 
-from gpom_core.inverse import LARGEST_SWEPT, addresses_for, inverse_spd
+from gpom_core.inverse import (
+    LARGEST_SWEPT,
+    addresses_for,
+    inverse_spd,
+    padded,
+    solve_and_pack,
+    unpacked,
+)
 
 
 def positive_definite(n: int, seed: int = 0) -> np.ndarray:
@@ -23,6 +30,20 @@ def test_the_inverse_and_the_log_determinant_are_those_of_numpy(n: int) -> None:
     np.testing.assert_allclose(inverse, np.linalg.inv(k), atol=1e-10)
     np.testing.assert_allclose(log_determinant, np.linalg.slogdet(k)[1], rtol=1e-12)
     assert np.array_equal(inverse, inverse.T)
+
+
+@pytest.mark.parametrize("n", SIZES)
+def test_a_system_is_solved_and_its_inverse_packed(n: int) -> None:
+    k, y = positive_definite(n), np.random.default_rng(n).normal(size=n)
+    a = np.full((padded(n), padded(n)), np.nan)
+    a[:n, :n] = np.triu(k) + np.tril(np.full_like(k, np.nan), -1)
+    x, packed = np.empty(n), np.empty(n * (n + 1) // 2)
+    log_determinant = solve_and_pack(a, y, addresses_for(n), x, packed)
+    inverse = unpacked(packed, n)
+    assert np.array_equal(inverse, inverse.T)
+    np.testing.assert_allclose(inverse, np.linalg.inv(k), atol=1e-10)
+    np.testing.assert_allclose(x, np.linalg.solve(k, y), atol=1e-10)
+    np.testing.assert_allclose(log_determinant, np.linalg.slogdet(k)[1], rtol=1e-12)
 
 
 def crowded(n: int, noise: float) -> np.ndarray:

@@ -160,6 +160,24 @@ def test_boxes_of_a_lattice_equal_boxes_that_share_no_side() -> None:
     assert np.allclose(gram(kinds, lattice, 0.4), gram(kinds, apart, 0.4), atol=1e-11)
 
 
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("most", list(Kind))
+@pytest.mark.parametrize("in_order", [True, False])
+def test_the_upper_triangle_is_that_of_the_gram_matrix(d: int, most: Kind, in_order: bool) -> None:
+    kinds, geometry = shapes(61, d, seed=7)
+    if most is not Kind.SEGMENT:  # points, boxes, or both
+        chosen = kinds == Kind.BOX if most is Kind.BOX else kinds != Kind.SEGMENT
+        kinds, geometry = kinds[chosen], geometry[chosen]
+    if in_order:
+        order = np.argsort(kinds, kind="stable")
+        kinds, geometry = kinds[order], geometry[order]
+    n = len(kinds)
+    got = np.full((n + 3, n + 3), np.nan)
+    assert kernels.gram_upper_into(kinds, geometry, np.full(d, 2.0), got) == 0
+    upper = np.triu_indices(n)
+    np.testing.assert_allclose(got[upper], gram(kinds, geometry, 0.5)[upper], atol=1e-14)
+
+
 def test_no_shapes_and_no_points_are_fine() -> None:
     nothing = np.empty((0, 2, 2))
     kinds, geometry = shapes(4, 2, seed=1)
