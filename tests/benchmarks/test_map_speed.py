@@ -60,6 +60,21 @@ def cpu_s(work: Callable[[], object], turns: int = 3) -> float:
     return median(took)
 
 
+def in_turns(works: dict[str, Callable[[], object]], turns: int) -> dict[str, list[float]]:
+    """Processor times of works that are compared: one after the other, on the same machine.
+
+    The first turn, which compiles, is not counted.
+    """
+    took: dict[str, list[float]] = {name: [] for name in works}
+    for turn in range(turns):
+        for name, work in works.items():
+            start_s = time.thread_time()
+            work()
+            if turn > 0:
+                took[name].append(time.thread_time() - start_s)
+    return took
+
+
 def uniform(snapshot: Snapshot, n: int = BATCH) -> NDArray[np.float64]:
     assert snapshot.bounds is not None
     box = np.array(snapshot.bounds)
@@ -110,13 +125,7 @@ def test_ingest_beside_octomap(scans: list[Scan]) -> None:
             evidence.add(decode(payload))
 
     works = {"gpom": ours, "gpom_second_replay": again, **octomap_works(scans)}
-    took: dict[str, list[float]] = {name: [] for name in works}
-    for turn in range(6):  # in turns, so that both see the same machine
-        for name, work in works.items():
-            start_s = time.thread_time()
-            work()
-            if turn > 0:  # the first compiles
-                took[name].append(time.thread_time() - start_s)
+    took = in_turns(works, 6)
     per_s = {name: len(scans) / median(seconds) for name, seconds in took.items()}
     figures: Figures = {f"{name}_scans_per_s": rounded(value) for name, value in per_s.items()}
     if "octomap" in per_s:
@@ -158,15 +167,9 @@ def test_training_beside_lapack(mapper: Mapper) -> None:
         return time.thread_time() - start_s
 
     invert_s, kernels_s = cpu_s(lambda: factorise(invert=True)), cpu_s(kernels)
-    took: dict[Callable[[], object], list[float]] = {factorise: [], whole: []}
-    for turn in range(8):  # in turns, so that both see the same machine
-        for work, seconds in took.items():
-            start_s = time.thread_time()
-            work()
-            if turn > 0:  # the first compiles
-                seconds.append(time.thread_time() - start_s)
-    solve_s, whole_s = median(took[factorise]), median(took[whole])
-    ratios = [w / s for s, w in zip(*took.values(), strict=True)]
+    took = in_turns({"solve": factorise, "whole": whole}, 8)
+    solve_s, whole_s = median(took["solve"]), median(took["whole"])
+    ratios = np.array(took["whole"]) / np.array(took["solve"])
     record(
         "training",
         COMMAND,
@@ -178,7 +181,7 @@ def test_training_beside_lapack(mapper: Mapper) -> None:
             "kernels_s": rounded(kernels_s),
             "train_all_s": rounded(whole_s),
             "take_all_jobs_s": rounded(median(take() for _ in range(4))),
-            "times_cholesky_and_solve": rounded(median(ratios)),
+            "times_cholesky_and_solve": rounded(float(np.median(ratios))),
         },
     )
 
