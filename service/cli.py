@@ -34,8 +34,10 @@ def serve(
     wins. Ends with 0 on SIGINT or SIGTERM, with 2 when a setting is bad or a port is taken.
     """
     from service.ending import Ending  # noqa: PLC0415
+    from service.priority import load_without_collector  # noqa: PLC0415
 
     ending = Ending()  # first, for what follows takes seconds
+    load_without_collector()
     from gpom_core.errors import ConfigurationError  # noqa: PLC0415
     from service.settings_file import annotated_yaml, load_settings  # noqa: PLC0415
 
@@ -55,9 +57,6 @@ def serve(
     if ending.wanted:
         return
 
-    from service.priority import load_without_collector  # noqa: PLC0415
-
-    load_without_collector()
     from service import logs, server  # noqa: PLC0415
     from service.errors import JournalError, MapFileError, SourceError  # noqa: PLC0415
 

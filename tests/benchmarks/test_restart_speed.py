@@ -75,7 +75,10 @@ def figures_of(name: str, starts: list[Start]) -> Figures:
 
 @pytest.fixture
 def service(tmp_path) -> Iterator[Service]:
-    service = Service(tmp_path)
+    # Saved at the end only: else what is killed may be saved before, when robots have come to rest.
+    settings = tmp_path / "settings.yaml"
+    settings.write_text("journal: {checkpoint_interval_s: 3600}")
+    service = Service(tmp_path, "--config", str(settings))
     service.start()
     yield service
     service.kill()
