@@ -223,7 +223,6 @@ def test_a_signal_while_modules_are_loaded_ends_it_cleanly(tmp_path) -> None:
         _, errors = child.communicate(timeout=60.0)
         assert child.returncode == 0, errors
         assert "Traceback" not in errors
-        assert not (tmp_path / "data").exists(), "nothing had begun"
     finally:
         child.kill()
 
