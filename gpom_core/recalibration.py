@@ -9,7 +9,7 @@ few scans were there (measured in docs/accuracy.md).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -36,9 +36,6 @@ _SEED = 20220918
 
 _Floats = NDArray[np.float64]
 LeftOut = tuple[_Floats, _Floats, NDArray[np.bool_]]
-_Asked = tuple[Scan, _Floats, NDArray[np.bool_]]
-Run = Callable[[Callable[[_Asked], LeftOut], Iterable[_Asked]], Iterator[LeftOut]]
-"""How scans are left out: `map` does one after the other, that of an executor several at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,11 +56,11 @@ class CalibrationJob:
         """
         return next(link for link in self.steps() if link is not None)
 
-    def steps(self, run: Run = map) -> Iterator[Link | None]:
+    def steps(self) -> Iterator[Link | None]:
         """The same in short steps: None after each scan, the link at last."""
         prior = self.snapshot.prior_variance
         seen: list[LeftOut] = [(np.empty(0), np.empty(0), np.empty(0, np.bool_))]
-        for part in leave_scans_out(self.snapshot, self.scans, self.config, run):
+        for part in leave_scans_out(self.snapshot, self.scans, self.config):
             seen.append(part)
             yield None
         mean, variance, occupied = (np.concatenate(column) for column in zip(*seen, strict=True))
@@ -71,7 +68,7 @@ class CalibrationJob:
 
 
 def leave_scans_out(
-    snapshot: Snapshot, scans: Sequence[Scan], config: MapConfig, run: Run = map
+    snapshot: Snapshot, scans: Sequence[Scan], config: MapConfig
 ) -> Iterator[LeftOut]:
     """Latent mean, variance and truth (n,) at hits and free places of each scan, left out.
 
@@ -83,14 +80,12 @@ def leave_scans_out(
     """
     rng = np.random.default_rng(_SEED)
     index = _Index(snapshot, config)
-    asked = [(scan, *_questions(scan, config, rng)) for scan in scans]
-
-    def leave_out(one: _Asked) -> LeftOut:
-        scan, points, occupied = one
+    for scan in scans:
+        points, occupied = _questions(scan, config, rng)
+        if len(points) == 0:
+            continue
         precision, information = index.without(scan, points).sums(points)
-        return information / precision, 1.0 / precision, occupied
-
-    yield from run(leave_out, [one for one in asked if len(one[1]) > 0])
+        yield information / precision, 1.0 / precision, occupied
 
 
 def _questions(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from gpom_core.link import Link
 from gpom_core.mapper import CalibrationJob, Mapper
-from gpom_core.recalibration import Run
 
 
 class CalibrationError(Exception):
@@ -69,11 +68,8 @@ class Calibrating:
         """Whether a calibration begun since `want` gave this number is over, well or not."""
         return self._ended >= number
 
-    def begin(self, executor: Executor, run: Run = map) -> None:
+    def begin(self, executor: Executor) -> None:
         """Give the pool a calibration's first step, if one is due.
-
-        Args:
-            run: does what a step consists of.
 
         Raises:
             CalibrationError: the pool takes nothing.
@@ -87,7 +83,7 @@ class Calibrating:
         if job is None:
             self._ended = self._begun
         else:
-            self._running = _Running(job, job.steps(run))
+            self._running = _Running(job, job.steps())
             self._submit(self._running, executor)
 
     def advance(self, executor: Executor) -> bool:

@@ -188,7 +188,7 @@ class MapService:
         self._starting = f"the map is being restored from {archive.newest()}"
         # Not in the pool for training, which gives way to others: nobody is served meanwhile.
         cores = os.cpu_count() or 1
-        helpers = ThreadPoolExecutor(cores + 1, "gpom-restore")
+        helpers = ThreadPoolExecutor(cores, "gpom-restore")
         try:
             mapper, position = archive.load(helpers)
         except BaseException:

@@ -134,9 +134,8 @@ class MapKeeper:
             position: see above.
             tail: scans beyond it. Until they are in the answers the map is being restored.
             saver: is offered the map after every step.
-            helpers: train and calibrate until then, with nobody to give way to; one more than
-                `cores`, for one waits while the others leave scans out.
-            cores: see above.
+            helpers: train and calibrate until then, with nobody to give way to.
+            cores: as many as there are helpers.
         """
         self._adopt(mapper)
         self._tail, self._saver = Tail(tail, position, self._beams_max), saver

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import partial
 
 from gpom_core.mapper import Mapper, TrainedExpert, TrainingJob
-from gpom_core.recalibration import Run
 from gpom_core.snapshot import Snapshot
 from service.calibrating import Calibrating, CalibrationError
 from service.clock import Clock
@@ -92,7 +91,6 @@ class Training:
         self._mapper = mapper
         self._executor = executor
         self._workers = workers
-        self._run: Run = map
         self._own = executor, workers
         self._swap_interval_s = swap_interval_s
         self._attempts_max = attempts_max
@@ -126,15 +124,12 @@ class Training:
         return not (self._in_pool or self._trained or self._calibrating.active)
 
     def borrow(self, helpers: Executor, workers: int) -> None:
-        """Let others run jobs until `give_back`, so many at once, and calibrations on all of them.
-
-        There must be one more of them than `workers`: it waits for the others that leave scans out.
-        """
-        self._executor, self._workers, self._run = helpers, workers, helpers.map
+        """Let others run jobs until `give_back`, so many at once."""
+        self._executor, self._workers = helpers, workers
 
     def give_back(self) -> None:
         """Let the executor run jobs again that is there for it."""
-        self._executor, self._workers, self._run = *self._own, map
+        self._executor, self._workers = self._own
 
     def calibrate(self) -> int:
         """Calibrate next, even if little is new; give a number to ask `calibrated` about."""
@@ -199,7 +194,7 @@ class Training:
 
     def _begin_calibration(self) -> None:
         try:
-            self._calibrating.begin(self._executor, self._run)
+            self._calibrating.begin(self._executor)
         except CalibrationError as error:
             self._uncalibrated(error)
 

@@ -1,7 +1,5 @@
 """Calibration leaves scans out: what is asked is what a map without the scan would answer."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import pytest
 
@@ -143,5 +141,3 @@ def test_steps_are_the_whole_in_parts() -> None:
     *before, link = job.steps()
     assert before == [None] * 6
     assert link == job.run()
-    with ThreadPoolExecutor(2) as pool:
-        assert list(job.steps(pool.map)) == [*before, link], "several at once"

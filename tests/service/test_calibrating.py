@@ -79,7 +79,7 @@ def test_who_wants_one_gets_one_begun_later(rig) -> None:
 
 
 def test_a_step_that_fails_ends_it_and_leaves_probabilities_alone(rig, monkeypatch) -> None:
-    def fail(self, run) -> None:
+    def fail(self) -> None:
         yield None
         raise ArithmeticError("no")
 

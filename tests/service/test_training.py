@@ -80,7 +80,7 @@ def test_dirty_experts_are_trained_and_swapped_in(rig) -> None:
 
 
 def test_helpers_do_the_work_until_they_are_given_back(rig) -> None:
-    with ThreadPoolExecutor(3) as helpers:
+    with ThreadPoolExecutor(2) as helpers:
         rig.training.borrow(helpers, 2)
         for step in range(3):
             rig.mapper.update(scan_at(0.2 * step, 0.1))

@@ -106,7 +106,7 @@ def hang_one(monkeypatch, release) -> list[int]:
 def test_a_calibration_that_hangs_is_given_up_and_nobody_waits_for_it(
     started, release, source, monkeypatch
 ) -> None:
-    def hang(job, run):
+    def hang(job):
         release.wait()
         yield job.snapshot.link
 
