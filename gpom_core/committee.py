@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 from gpom_core.errors import InvalidQueryError
 from gpom_core.jit import compiled
 
+# Columns of the committee's sums at a point. All add up over experts, and over shards of them.
+OF_PRECISION, OF_INFORMATION = 0, 1
+OF_HITS, OF_PASSES = 2, 3  # what the evidence at the point itself weighs, priors weigh 1
+SUMS = 4
+
 
 class Fusion(IntEnum):
     """How the opinions of experts are merged."""

@@ -21,7 +21,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.committee import Fusion
+from gpom_core.committee import OF_HITS, SUMS, Fusion
 from gpom_core.lattice import fill_tile, interpolate, slots_of
 from gpom_core.member import SECTOR_M, SECTOR_TILES, TILE_M, Bounds, sector_key
 from gpom_core.pages import Nodes, Pages
@@ -115,17 +115,20 @@ class Field:
         """Memory of all tiles that are filled."""
         return sum(pages.size_bytes for pages in self._view.pages)
 
-    def sums(self, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Precision and information of the experts at points (n, 2), without the prior."""
-        precision, information = np.zeros(len(points)), np.zeros(len(points))
+    def sums(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """The committee's sums (n, 4) at points (n, 2), without the prior.
+
+        Of those behind precision and information, the weights of hits and passes, it is log(1 + x):
+        sums of narrow peaks, which only as logarithms can be interpolated.
+        """
+        sums = np.zeros((len(points), SUMS))
         late = np.empty(len(points), np.int64)
         tick, view = next(_ticks), self._view
 
         def read(which: NDArray[np.int64], view: _View) -> int:
             # The view is held here while its addresses are read.
             return interpolate(
-                points, which, self._reach, self._keys, self._slots, view.books, tick,
-                precision, information, late,
+                points, which, self._reach, self._keys, self._slots, view.books, tick, sums, late,
             )  # fmt: skip
 
         waiting = read(np.arange(len(points)), view)
@@ -135,9 +138,10 @@ class Field:
             sector = self._sectors[slot]
             committee_sums(
                 points, rare, sector.corner, sector.tables, sector.starts,
-                sector.entries, int(self._rule), self._negligible, precision, information,
+                sector.entries, int(self._rule), self._negligible, sums,
             )  # fmt: skip
-        return precision, information
+            sums[rare, OF_HITS:] = np.log1p(sums[rare, OF_HITS:])
+        return sums
 
     def _by_sector(
         self, points: NDArray[np.float64], which: NDArray[np.int64]

@@ -32,7 +32,7 @@ from gpom_core.scan import Pose2D, Scan
 from gpom_core.snapshot import Snapshot
 from gpom_core.tiles import Tiles
 
-VERSION = 3
+VERSION = 4
 """Of the set of arrays; a higher one is refused."""
 
 LENGTH_SCALES_MAX = 50.0  # times the configured one: an expert's index grows with its square
@@ -44,7 +44,7 @@ _ANY = -1
 _SHAPES: dict[str, tuple[str, tuple[int, ...]]] = {
     "version": ("int64", ()),
     "counters": ("int64", (6,)),  # scans, those that told, now and then; the others of `dump`
-    "link": ("float64", (5,)),
+    "link": ("float64", (6,)),
     "kept_frame": ("float64", (_ANY, 7)),  # pose, first angle, increment, range limits
     "kept_ranges": ("float32", (_ANY,)),
     "kept_start": ("int64", (_ANY,)),

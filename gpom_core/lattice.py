@@ -12,8 +12,9 @@ import numpy as np
 from numba import carray
 from numpy.typing import NDArray
 
+from gpom_core.committee import OF_HITS, OF_INFORMATION, OF_PASSES, OF_PRECISION, SUMS
 from gpom_core.jit import compiled, vectorised
-from gpom_core.link import probability
+from gpom_core.link import probability, take_logarithms
 from gpom_core.member import SECTOR_SHIFT, SECTOR_TILES, TILE_M, TILES_IN_SECTOR
 from gpom_core.opinions import tile_sums
 from gpom_core.pages import INTERVAL_BITS, NOT_FILLED, NOTHING
@@ -45,68 +46,65 @@ def fill_tile(
     Args:
         corner: (2,) low corner of the tile, metres.
         tables: of the `Sector`. entries: (e, 3) those of the tile.
-        weights: (5,) of the `Link`. tolerance: of the probability.
+        weights: (6,) of the `Link`. tolerance: of the probability.
 
     Returns:
-        (n + 1, n + 1, 2) precision and information of the experts, without the prior; axis 0 is x.
+        (n + 1, n + 1, 4) the committee's sums as `Field.sums` has them; axis 0 is x.
     """
     n = COARSEST
     while True:
-        precision, information = _lattice(
-            corner, n, n + 1, 0.0, tables, entries, fusion, negligible
-        )
+        nodes = _lattice(corner, n, n + 1, 0.0, tables, entries, fusion, negligible)
         if n >= FINEST:
             break
         error = _worst_error(
-            _middles(precision), _middles(information),
-            _lattice(corner, n, n, 0.5, tables, entries, fusion, negligible),
+            nodes, _lattice(corner, n, n, 0.5, tables, entries, fusion, negligible),
             1.0 / prior_variance, weights,
         )  # fmt: skip
         if error <= tolerance:
             break
         n *= 2 if error <= 4.0 * tolerance else 4  # each halving quarters the error
         n = min(n, FINEST)
-    out = np.empty((n + 1, n + 1, 2), np.float32)
-    out[:, :, 0] = precision
-    out[:, :, 1] = information
-    return out
+    return nodes.astype(np.float32)
 
 
 @compiled
 def _lattice(
     corner: _Floats, n: int, edge: int, shift: float, tables: _Integers,
     entries: _Integers, fusion: int, negligible: float,
-) -> tuple[_Floats, _Floats]:  # fmt: skip
-    """Sums at the nodes (edge, edge) of a lattice of n intervals a tile, shifted by a share."""
+) -> _Floats:  # fmt: skip
+    """Sums (edge, edge, 4) at the nodes of a lattice of n intervals a tile, shifted by a share."""
     points = np.empty((edge * edge, 2))
     for i in range(edge):
         for j in range(edge):
             points[i * edge + j, 0] = corner[0] + (i + shift) * (TILE_M / n)
             points[i * edge + j, 1] = corner[1] + (j + shift) * (TILE_M / n)
-    precision, information = np.zeros(edge * edge), np.zeros(edge * edge)
-    tile_sums(points, tables, entries, fusion, negligible, precision, information)
-    return precision.reshape(edge, edge), information.reshape(edge, edge)
+    sums = np.zeros((edge * edge, SUMS))
+    tile_sums(points, tables, entries, fusion, negligible, sums)
+    take_logarithms(sums)
+    return sums.reshape(edge, edge, SUMS)
 
 
 @compiled
-def _middles(nodes: _Floats) -> _Floats:
-    return 0.25 * (nodes[:-1, :-1] + nodes[1:, :-1] + nodes[:-1, 1:] + nodes[1:, 1:])
+def _worst_error(nodes: _Floats, exact: _Floats, prior: float, weights: _Floats) -> float:
+    """Largest difference of probabilities in the middles of cells.
 
-
-@compiled
-def _worst_error(
-    precision: _Floats, information: _Floats, exact: tuple[_Floats, _Floats],
-    prior: float, weights: _Floats,
-) -> float:  # fmt: skip
-    """Largest difference of probabilities; `prior` is the precision of the prior."""
+    Args:
+        nodes: (n + 1, n + 1, 4). exact: (n, n, 4). prior: its precision.
+    """
     worst = 0.0
-    for i in range(len(precision)):
-        for j in range(len(precision)):
-            total, truth = precision[i, j] + prior, exact[0][i, j] + prior
-            p = probability(information[i, j] / total, min(prior / total, 1.0), weights)
-            q = probability(exact[1][i, j] / truth, min(prior / truth, 1.0), weights)
-            worst = max(worst, abs(p - q))
+    for i in range(len(exact)):
+        for j in range(len(exact)):
+            four = nodes[i, j] + nodes[i + 1, j] + nodes[i, j + 1] + nodes[i + 1, j + 1]
+            between = _probability(0.25 * four, prior, weights)
+            worst = max(worst, abs(between - _probability(exact[i, j], prior, weights)))
     return worst
+
+
+@vectorised
+def _probability(sums: _Floats, prior: float, weights: _Floats) -> float:
+    total = sums[OF_PRECISION] + prior
+    mean, left = sums[OF_INFORMATION] / total, min(prior / total, 1.0)
+    return float(probability(mean, left, sums[OF_HITS], sums[OF_PASSES], weights))
 
 
 @compiled
@@ -139,8 +137,7 @@ def interpolate(
     slots: _Integers,
     books: _Integers,
     tick: int,
-    precision: _Floats,
-    information: _Floats,
+    sums: _Floats,
     late: _Integers,
 ) -> int:
     """Add the field's sums at points[which]; the prior is not among them.
@@ -151,7 +148,7 @@ def interpolate(
         keys: (k,) of the sectors. slots: `slots_of` them.
         books: (k, 2) addresses of each sector's arrays (tiles,): `Pages.marks`, and the tick of
             the last use, which is written.
-        precision, information: (n,) sums to add to.
+        sums: (n, 4) to add to.
         late: (n,) numbers of points whose tile is not filled are written here.
 
     Returns:
@@ -181,9 +178,8 @@ def interpolate(
             continue
         carray(pointer(books[book, 1]), (TILES_IN_SECTOR,), np.int64)[tile] = tick
         n = mark & ((1 << INTERVAL_BITS) - 1)
-        p, i = _between(mark >> INTERVAL_BITS, n, (x / TILE_M - fx) * n, (y / TILE_M - fy) * n)
-        precision[point] += p
-        information[point] += i
+        u, v = (x / TILE_M - fx) * n, (y / TILE_M - fy) * n
+        _between(mark >> INTERVAL_BITS, n, u, v, sums, point)
     return waiting
 
 
@@ -199,20 +195,12 @@ def _find(key: int, keys: _Integers, slots: _Integers) -> int:
 
 
 @vectorised
-def _between(address: int, n: int, u: float, v: float) -> tuple[float, float]:
-    """Bilinear interpolation at (u, v) intervals from the corner of a tile of n."""
-    nodes = carray(pointer(address), (2 * (n + 1) * (n + 1),), np.float32)
+def _between(address: int, n: int, u: float, v: float, sums: _Floats, point: int) -> None:
+    """Add what is between the nodes, (u, v) intervals from the corner of a tile of n."""
+    nodes = carray(pointer(address), (n + 1, n + 1, SUMS), np.float32)
     i, j = min(int(u), n - 1), min(int(v), n - 1)
-    a, b = u - i, v - j
-    low = 2 * (i * (n + 1) + j)
-    high = low + 2 * (n + 1)
-    first = (1.0 - a) * (1.0 - b), (1.0 - a) * b, a * (1.0 - b), a * b
-    precision = (
-        first[0] * nodes[low] + first[1] * nodes[low + 2]
-        + first[2] * nodes[high] + first[3] * nodes[high + 2]
-    )  # fmt: skip
-    information = (
-        first[0] * nodes[low + 1] + first[1] * nodes[low + 3]
-        + first[2] * nodes[high + 1] + first[3] * nodes[high + 3]
-    )  # fmt: skip
-    return precision, information
+    a, b = np.float32(u - i), np.float32(v - j)
+    for column in range(SUMS):
+        low = nodes[i, j, column] + b * (nodes[i, j + 1, column] - nodes[i, j, column])
+        high = nodes[i + 1, j, column] + b * (nodes[i + 1, j + 1, column] - nodes[i + 1, j, column])
+        sums[point, column] += low + a * (high - low)

@@ -1,14 +1,16 @@
-"""From the committee's mean and variance to a probability that means what it says.
+"""From what the committee says at a place to a probability that means what it says.
 
-With the latent mean m, the share u of the prior variance that is left, and w = 1 - u:
+With the latent mean m, the share u of the prior variance that is left, w = 1 - u, and what the hits
+and the passes at the very place weigh, H and F:
 
-    log(p / (1 - p)) = m (a + b log(1/u)) + c ((m + k w)^3 - (k w)^3) + w (d + e u)
+    log(p / (1 - p)) = a m + b ((m + k w)^3 - (k w)^3) + c log(1 + H) - d log(1 + F) + w (e + f u)
 
-Every term vanishes where nothing is known, so unknown space stays at one half, and none but the
-last depends on anything but m in an order-keeping way: more mean is never less probability. The
-cubic is what evidence that contradicts itself needs (an expert's mean is then near the share of
-hits, and so is the probability), and the last term what the edges of known space need: half-known
-places are where beams end. The probit link of the paper, Phi(a m / sqrt(1 + a^2 v)), has neither
+Every term vanishes where nothing is known, so unknown space stays at one half; more mean or more
+hits are never less probability, more passes never more. The cubic is what evidence that contradicts
+itself needs (an expert's mean is then near the share of hits, and so is the probability). The two
+logarithms are what a grid knows and a process smooths over: how often this very place was hit and
+passed, however sure it is of both. The last term is for the edges of known space: half-known places
+are where beams end. The probit link of the paper, Phi(a m / sqrt(1 + a^2 v)), has none of them
 (measured in docs/accuracy.md); `gpom_core.calibration` has it for the batch maps of the paper.
 """
 
@@ -20,54 +22,88 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from gpom_core.committee import OF_HITS, OF_INFORMATION, OF_PASSES, OF_PRECISION, SUMS
 from gpom_core.jit import compiled, vectorised
 
 _Floats = NDArray[np.float64]
 
-DEFAULT_WEIGHTS = (3.86, 0.21, 0.75, -0.52, 5.97)
-"""a, b, c, d, e fitted to left-out training scans of four buildings, whole and thinned."""
+DEFAULT_WEIGHTS = (2.94, 0.42, 0.8, 1.19, 0.83, 1.79)
+"""a to f, fitted to left-out training scans of four buildings, whole and thinned."""
 
 _SHIFT = 0.2  # k
-_SPREAD = np.array([0.87, 2.84, 1.01, 0.31, 0.08])  # of the terms on real maps
+_SPREAD = np.array([0.91, 1.04, 2.19, 1.66, 0.25, 0.07])  # of the terms on real maps
 _PULL = 10.0  # towards the default, of weights in units of `_SPREAD`; one observation weighs 1
-_LEAST_VARIANCE = 1e-9  # share of the prior
 _MEANS, _LEFT = np.linspace(-1.2, 1.2, 25), np.geomspace(1e-3, 1.0, 13)
-_ORDERED = 3  # weights that must not be negative
+_MUCH, _AT_ODDS = 5.0, 4.0  # log(1 + weight), of places where all agrees and where nothing does
+_ORDERED = 4  # first weights that must not be negative
 _STEPS_MAX = 100  # about eight are enough
 _STEP_LEAST, _SHARE_LEAST = 1e-10, 1e-6
 
 
 @vectorised
-def _log_odds(mean: float, left: float, a: float, b: float, c: float, d: float, e: float) -> float:
+def _log_odds(mean: float, left: float, hits: float, passes: float, weights: _Floats) -> float:
     known = 1.0 - left
     shift = _SHIFT * known
     cubed = (mean + shift) * (mean + shift) * (mean + shift) - shift * shift * shift
-    return float(mean * (a - b * np.log(left)) + c * cubed + known * (d + e * left))
+    smooth = weights[0] * mean + weights[1] * cubed + known * (weights[4] + weights[5] * left)
+    return float(smooth + weights[2] * hits - weights[3] * passes)
 
 
 @vectorised
-def probability(mean: float, left: float, weights: _Floats) -> float:
+def probability(mean: float, left: float, hits: float, passes: float, weights: _Floats) -> float:
     """Probability of being occupied, in compiled code.
 
     Args:
-        mean: latent. left: share of the prior variance, in [1e-9, 1]. weights: (5,).
+        mean: latent. left: share of the prior variance, in [0, 1].
+        hits, passes: log(1 + weight) of those at the place. weights: (6,).
     """
-    z = _log_odds(mean, left, weights[0], weights[1], weights[2], weights[3], weights[4])
+    z = _log_odds(mean, left, hits, passes, weights)
     return float(1.0 / (1.0 + np.exp(-z)))
 
 
 @compiled
-def _probabilities(mean: _Floats, left: _Floats, weights: _Floats, out: _Floats) -> None:
+def _probabilities(
+    mean: _Floats, left: _Floats, hits: _Floats, passes: _Floats, weights: _Floats, out: _Floats
+) -> None:
     for i in range(len(mean)):
-        out[i] = probability(mean[i], min(max(left[i], _LEAST_VARIANCE), 1.0), weights)
+        out[i] = probability(mean[i], min(left[i], 1.0), hits[i], passes[i], weights)
+
+
+@compiled
+def take_logarithms(sums: _Floats) -> None:
+    """Of the committee's sums (n, 4), what hits and passes weigh becomes log(1 + weight)."""
+    for i in range(len(sums)):
+        for column in range(OF_HITS, SUMS):
+            sums[i, column] = np.log1p(sums[i, column])
+
+
+@compiled
+def answers(
+    sums: _Floats, prior: float, prior_variance: float, weights: _Floats
+) -> tuple[_Floats, _Floats, _Floats]:
+    """Mean, variance and probability, (n,) each, from what the committee says.
+
+    Args:
+        sums: (n, 4) as `take_logarithms` leaves them, without the prior.
+        prior: its precision. prior_variance: of one expert. weights: (6,) of the link.
+    """
+    n = len(sums)
+    mean, variance, occupancy = np.empty(n), np.empty(n), np.empty(n)
+    for i in range(n):
+        variance[i] = 1.0 / (sums[i, OF_PRECISION] + prior)
+        mean[i] = sums[i, OF_INFORMATION] * variance[i]
+        left = min(variance[i] / prior_variance, 1.0)
+        hits, passes = sums[i, OF_HITS], sums[i, OF_PASSES]
+        occupancy[i] = probability(mean[i], left, hits, passes, weights)
+    return mean, variance, occupancy
 
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """The weights a, b, c, d, e; the default is a good guess before there is evidence to fit.
+    """The weights a to f; the default is a good guess before there is evidence to fit.
 
     Raises:
-        ValueError: not five finite numbers, or a negative a, b or c.
+        ValueError: not six finite numbers, or one of the first four is negative.
     """
 
     weights: tuple[float, ...] = DEFAULT_WEIGHTS
@@ -76,34 +112,44 @@ class Link:
         w = np.asarray(self.weights)
         if w.shape != (len(DEFAULT_WEIGHTS),) or not np.isfinite(w).all() or w[:_ORDERED].min() < 0:
             raise ValueError(
-                f"weights are {self.weights}, expected five numbers, the first three not negative"
+                f"weights are {self.weights}, expected six numbers, the first four not negative"
             )
 
-    def probability(self, mean: _Floats, variance: _Floats, prior_variance: float) -> _Floats:
-        """Probability of being occupied, shaped as the latent mean and variance."""
-        flat = np.ascontiguousarray(mean, np.float64).reshape(-1)
-        left = np.ascontiguousarray(variance, np.float64).reshape(-1) / prior_variance
-        out = np.empty(len(flat))
-        _probabilities(flat, left, np.array(self.weights), out)
-        return out.reshape(np.shape(mean))
+    def probability(self, mean: _Floats, left: _Floats, hits: _Floats, passes: _Floats) -> _Floats:
+        """Probability of being occupied, (n,).
+
+        Args:
+            mean: (n,) latent. left: (n,) share of the prior variance.
+            hits, passes: (n,) log(1 + weight) of those at the place; the prior weighs 1.
+        """
+        out = np.empty(len(mean))
+        _probabilities(mean, left, hits, passes, np.array(self.weights), out)
+        return out
 
     def differs(self, other: Link, tolerance: float) -> bool:
-        """Whether any probability differs by more than a tolerance."""
-        mean, left = np.meshgrid(_MEANS, _LEFT)
-        ours, theirs = (one.probability(mean, left, 1.0) for one in (self, other))
-        return bool(np.abs(ours - theirs).max() > tolerance)
+        """Whether any probability of what maps are likely to say differs by more than this."""
+        mean, left = (axis.ravel() for axis in np.meshgrid(_MEANS, _LEFT))
+        none, both = np.zeros(len(mean)), np.full(len(mean), _AT_ODDS)
+        agreeing = _MUCH * np.maximum(mean, 0.0), _MUCH * np.maximum(-mean, 0.0)
+        for hits, passes in ((none, none), (both, both), agreeing):
+            ours, theirs = (one.probability(mean, left, hits, passes) for one in (self, other))
+            if np.abs(ours - theirs).max() > tolerance:
+                return True
+        return False
 
 
-def fit(mean: _Floats, left: _Floats, occupied: NDArray[np.bool_]) -> Link:
+def fit(
+    mean: _Floats, left: _Floats, hits: _Floats, passes: _Floats, occupied: NDArray[np.bool_]
+) -> Link:
     """The link of highest likelihood, held near the default where there is little to tell.
 
     Args:
         mean: (n,) latent, at observations that are left out. left: (n,) share of the prior
-            variance. occupied: (n,) what was observed.
+            variance. hits, passes: (n,) as in `Link.probability`. occupied: (n,) what was observed.
     """
     if len(mean) == 0:
         return Link()
-    terms = _terms(mean, np.clip(left, _LEAST_VARIANCE, 1.0)) / _SPREAD
+    terms = _terms(mean, np.minimum(left, 1.0), hits, passes) / _SPREAD
     signed = terms * np.where(occupied, 1.0, -1.0)[:, None]
     # Exactly the best: a restarted service calibrates as one that went on.
     best = _likeliest(signed, np.array(DEFAULT_WEIGHTS) * _SPREAD)
@@ -153,8 +199,8 @@ def _lowest(curvature: _Floats, slope: _Floats, at: _Floats) -> _Floats:
     return found
 
 
-def _terms(mean: _Floats, left: _Floats) -> _Floats:
+def _terms(mean: _Floats, left: _Floats, hits: _Floats, passes: _Floats) -> _Floats:
     known = 1.0 - left
     shift = _SHIFT * known
-    columns = [mean, -mean * np.log(left), (mean + shift) ** 3 - shift**3, known, known * left]
-    return np.column_stack(columns)
+    cubed = (mean + shift) ** 3 - shift**3
+    return np.column_stack([mean, cubed, hits, -passes, known, known * left])

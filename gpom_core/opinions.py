@@ -11,12 +11,19 @@ import numpy as np
 from numba import carray
 from numpy.typing import NDArray
 
-from gpom_core.committee import contribution
+from gpom_core.committee import (
+    OF_HITS,
+    OF_INFORMATION,
+    OF_PASSES,
+    OF_PRECISION,
+    contribution,
+)
 from gpom_core.jit import compiled, inlined
 from gpom_core.kernels import point_segment
 from gpom_core.lanes import LANES, above, any_above, load, spread, store
 from gpom_core.member import (
     CORNERS,
+    COUNTS,
     EDGES,
     FACTORS,
     GEOMETRY,
@@ -44,8 +51,7 @@ def tile_sums(
     entries: _Integers,
     fusion: int,
     negligible: float,
-    precision: _Floats,
-    information: _Floats,
+    sums: _Floats,
 ) -> None:
     """Add the contributions of the experts near a tile to the committee's sums.
 
@@ -53,7 +59,7 @@ def tile_sums(
         points: (n, 2) metres, all in the tile.
         tables: of the `Sector`. entries: (e, 3) those of the tile.
         negligible: kernel values below this share of the signal variance count as zero.
-        precision, information: (n,) sums to add to.
+        sums: (n, 4) to add to; columns as in `gpom_core.committee`.
     """
     n, numbers = len(points), tables.view(np.float64)
     room = 1
@@ -63,6 +69,7 @@ def tile_sums(
     value, work = np.empty((room, LANES)), np.empty((4 * room, LANES))
     x, y = np.empty(LANES), np.empty(LANES)
     mean, explained = np.empty(LANES), np.empty(LANES)
+    hits, passes = np.empty(LANES), np.empty(LANES)
     for e in range(len(entries)):
         k = entries[e, 0]
         size, inverse, signal = tables[k, SIZE], numbers[k, INVERSE], numbers[k, SIGNAL]
@@ -95,6 +102,7 @@ def tile_sums(
             found = _near_points(
                 candidates[:points_end], geometry, inverse, x, y, negligible, work, near, value
             )
+            points_found = found
             for s in range(points_end, segments_end):
                 i = candidates[s]
                 # rare: only maps that keep beams whole have any
@@ -119,11 +127,18 @@ def tile_sums(
                 value.ctypes.data, near.ctypes.data, found, tables[k, WEIGHTS],
                 tables[k, PRECISION], size, mean.ctypes.data, explained.ctypes.data,
             )  # fmt: skip
+            _counts(
+                value.ctypes.data, near.ctypes.data, points_found, found, tables[k, COUNTS], size,
+                hits.ctypes.data, passes.ctypes.data,
+            )  # fmt: skip
             for lane in range(lanes):
                 variance = max(signal * (1.0 - signal * explained[lane]), 1e-9 * signal)
                 p, q = contribution(fusion, signal * mean[lane], variance, signal)
-                precision[start + lane] += p
-                information[start + lane] += q
+                here = sums[start + lane]
+                here[OF_PRECISION] += p
+                here[OF_INFORMATION] += q
+                here[OF_HITS] += hits[lane]
+                here[OF_PASSES] += passes[lane]
 
 
 @compiled
@@ -257,3 +272,29 @@ def _moments(
 def _row(i: int, size: int) -> int:
     """Where column 0 of row i of a packed triangle would be."""
     return i * size - i * (i + 1) // 2
+
+
+@compiled
+def _counts(
+    value: int, near: int, points: int, found: int, counts: int, size: int,
+    hits: int, passes: int,
+) -> None:  # fmt: skip
+    """What the evidence at the place itself weighs: hits close by, areas the place is in.
+
+    Hits count within a sixth of a length scale: the power 32 of their kernel is narrower by
+    sqrt(32). All arrays by address; the first `points` of the near observations are hits.
+    """
+    index = carray(pointer(near), (found,), np.int64)
+    count = carray(pointer(counts), (size,), np.float64)
+    close, inside = spread(0.0), spread(0.0)
+    for a in range(points):
+        v = load(value, a)
+        v = v * v
+        v = v * v
+        v = v * v
+        v = v * v
+        close = close + spread(count[index[a]]) * (v * v)
+    for a in range(points, found):
+        inside = inside + spread(count[index[a]]) * load(value, a)
+    store(hits, 0, close)
+    store(passes, 0, inside)

@@ -48,7 +48,7 @@ class Pages:
 
 
 def pages_of(nodes: Mapping[int, Nodes], nothing: NDArray[np.bool_]) -> Pages:
-    """Pages of tiles filled with nodes (n + 1, n + 1, 2).
+    """Pages of tiles filled with nodes (n + 1, n + 1, 4).
 
     Args:
         nothing: (tiles,) where no expert reaches.

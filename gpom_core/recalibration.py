@@ -16,9 +16,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from gpom_core.committee import OF_HITS, OF_INFORMATION, OF_PASSES, OF_PRECISION, SUMS
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
-from gpom_core.link import Link, fit
+from gpom_core.link import Link, fit, take_logarithms
 from gpom_core.member import Member, train_member
 from gpom_core.observations import LEAST_COUNT, Observations
 from gpom_core.rows import BOX, SEGMENT
@@ -35,7 +36,14 @@ _NEGLIGIBLE = 0.05  # share of an observation: an expert that loses less than th
 _SEED = 20220918
 
 _Floats = NDArray[np.float64]
+<<<<<<< HEAD
 LeftOut = tuple[_Floats, _Floats, NDArray[np.bool_]]
+=======
+LeftOut = tuple[_Floats, NDArray[np.bool_]]
+_Asked = tuple[Scan, _Floats, NDArray[np.bool_]]
+Run = Callable[[Callable[[_Asked], LeftOut], Iterable[_Asked]], Iterator[LeftOut]]
+"""How scans are left out: `map` does one after the other, that of an executor several at once."""
+>>>>>>> 69e8468 (The link hears how often the place itself was hit and passed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,18 +67,26 @@ class CalibrationJob:
     def steps(self) -> Iterator[Link | None]:
         """The same in short steps: None after each scan, the link at last."""
         prior = self.snapshot.prior_variance
+<<<<<<< HEAD
         seen: list[LeftOut] = [(np.empty(0), np.empty(0), np.empty(0, np.bool_))]
         for part in leave_scans_out(self.snapshot, self.scans, self.config):
+=======
+        seen: list[LeftOut] = [(np.empty((0, SUMS)), np.empty(0, np.bool_))]
+        for part in leave_scans_out(self.snapshot, self.scans, self.config, run):
+>>>>>>> 69e8468 (The link hears how often the place itself was hit and passed)
             seen.append(part)
             yield None
-        mean, variance, occupied = (np.concatenate(column) for column in zip(*seen, strict=True))
-        yield fit(mean, variance / prior, occupied)
+        sums, occupied = (np.concatenate(column) for column in zip(*seen, strict=True))
+        take_logarithms(sums)
+        left = 1.0 / (1.0 + prior * sums[:, OF_PRECISION])
+        mean = sums[:, OF_INFORMATION] * left * prior
+        yield fit(mean, left, sums[:, OF_HITS], sums[:, OF_PASSES], occupied)
 
 
 def leave_scans_out(
     snapshot: Snapshot, scans: Sequence[Scan], config: MapConfig
 ) -> Iterator[LeftOut]:
-    """Latent mean, variance and truth (n,) at hits and free places of each scan, left out.
+    """The committee's sums (n, 4) and the truth (n,) at hits and free places of left-out scans.
 
     Free places lie at a uniform share of each beam, up to 0.2 m before its hit. The draw is
     seeded: the same map gives the same calibration.
@@ -80,12 +96,22 @@ def leave_scans_out(
     """
     rng = np.random.default_rng(_SEED)
     index = _Index(snapshot, config)
+<<<<<<< HEAD
     for scan in scans:
         points, occupied = _questions(scan, config, rng)
         if len(points) == 0:
             continue
         precision, information = index.without(scan, points).sums(points)
         yield information / precision, 1.0 / precision, occupied
+=======
+    asked = [(scan, *_questions(scan, config, rng)) for scan in scans]
+
+    def leave_out(one: _Asked) -> LeftOut:
+        scan, points, occupied = one
+        return index.without(scan, points).sums(points), occupied
+
+    yield from run(leave_out, [one for one in asked if len(one[1]) > 0])
+>>>>>>> 69e8468 (The link hears how often the place itself was hit and passed)
 
 
 def _questions(

@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray
 from numpy.typing import NDArray
 
-from gpom_core.committee import Fusion
+from gpom_core.committee import SUMS, Fusion
 from gpom_core.jit import brief, compiled
 from gpom_core.member import (
     AREA,
@@ -295,8 +295,7 @@ def committee_sums(
     entries: NDArray[np.int64],
     fusion: int,
     negligible: float,
-    precision: NDArray[np.float64],
-    information: NDArray[np.float64],
+    sums: NDArray[np.float64],
 ) -> None:
     """Add the sector's experts to the committee's sums at points[which].
 
@@ -304,7 +303,7 @@ def committee_sums(
         points: (n, 2) metres. which: numbers of the points that lie in this sector.
         corner, tables, starts, entries: of the `Sector`.
         negligible: kernel values below this share of the signal variance count as zero.
-        precision, information: (n,) sums to add to.
+        sums: (n, 4) to add to; columns as in `gpom_core.committee`.
     """
     tile = np.empty(len(which), np.int64)
     first = np.zeros(TILES_IN_SECTOR + 1, np.int64)
@@ -322,7 +321,7 @@ def committee_sums(
     for w in range(len(which)):
         order[cursor[tile[w]]] = which[w]
         cursor[tile[w]] += 1
-    inside, sums = np.empty((most, 2)), np.empty((2, most))
+    inside, found = np.empty((most, 2)), np.empty((most, SUMS))
     for t in range(TILES_IN_SECTOR):
         here = order[first[t] : first[t + 1]]
         near = entries[starts[t] : starts[t + 1]]
@@ -330,11 +329,11 @@ def committee_sums(
             continue
         for w in range(len(here)):
             inside[w, 0], inside[w, 1] = points[here[w], 0], points[here[w], 1]
-        sums[:, : len(here)] = 0.0
-        tile_sums(inside[: len(here)], tables, near, fusion, negligible, sums[0], sums[1])
+        found[: len(here)] = 0.0
+        tile_sums(inside[: len(here)], tables, near, fusion, negligible, found[: len(here)])
         for w in range(len(here)):
-            precision[here[w]] += sums[0, w]
-            information[here[w]] += sums[1, w]
+            for column in range(SUMS):
+                sums[here[w], column] += found[w, column]
 
 
 @brief
@@ -347,11 +346,9 @@ def few_sums(
     entries: NDArray[np.int64],
     fusion: int,
     negligible: float,
-    precision: NDArray[np.float64],
-    information: NDArray[np.float64],
+    sums: NDArray[np.float64],
 ) -> None:
     """As `committee_sums`, for so few points that giving up the interpreter does not pay."""
     committee_sums(
-        points, which, corner, tables, starts, entries, fusion, negligible,
-        precision, information,
+        points, which, corner, tables, starts, entries, fusion, negligible, sums
     )  # fmt: skip

@@ -11,10 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from gpom_core import extent
-from gpom_core.committee import Fusion, prior_precision
+from gpom_core.committee import (
+    SUMS,
+    Fusion,
+    prior_precision,
+)
 from gpom_core.errors import InvalidQueryError
 from gpom_core.field import Field
-from gpom_core.link import Link
+from gpom_core.link import Link, answers, take_logarithms
 from gpom_core.member import (
     CUTOFF_SCALES,
     EXPERTS,
@@ -190,26 +194,21 @@ class Snapshot:
         self,
         points: NDArray[np.float64],
         fusion: Fusion = Fusion.BCM,
-        method: Method = Method.EXACT,
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """The committee's precision and information at points (n, 2); the prior is included."""
-        prior = prior_precision(fusion, self.prior_variance, len(self.members))
-        if method is Method.FIELD and (field := self.field(fusion)) is not None:
-            precision, information = field.sums(points)
-            precision += prior
-            return precision, information
-        precision = np.full(len(points), prior)
-        information = np.zeros(len(points))
+    ) -> NDArray[np.float64]:
+        """The committee's sums (n, 4) at points (n, 2), without the prior.
+
+        Columns as in `gpom_core.committee`.
+        """
+        sums = np.zeros((len(points), SUMS))
         for key, which in _by_sector(points, self.covered).items():
             sector = self.sectors.get(key)
             if sector is not None:
                 add = few_sums if len(which) <= FEW_POINTS else committee_sums
                 add(
                     points, which, sector.corner, sector.tables,
-                    sector.starts, sector.entries, int(fusion), NEGLIGIBLE,
-                    precision, information,
+                    sector.starts, sector.entries, int(fusion), NEGLIGIBLE, sums,
                 )  # fmt: skip
-        return precision, information
+        return sums
 
     def query(self, points: ArrayLike, fusion: str = "bcm", method: str = "exact") -> Prediction:
         """Occupancy, mean and variance at points (n, 2) in metres.
@@ -220,16 +219,19 @@ class Snapshot:
         Raises:
             InvalidQueryError: wrong shape, non-finite points, an unknown fusion rule or method.
         """
-        precision, information = self.sums(
-            as_points(points), Fusion.named(fusion), Method.named(method)
+        where, rule = as_points(points), Fusion.named(fusion)
+        field = self.field(rule) if Method.named(method) is Method.FIELD else None
+        if field is not None:
+            sums = field.sums(where)
+        else:
+            sums = self.sums(where, rule)
+            take_logarithms(sums)
+        prior = prior_precision(rule, self.prior_variance, len(self.members))
+        mean, variance, occupancy = answers(
+            sums, prior, self.prior_variance, np.array(self.link.weights)
         )
-        mean, variance = information / precision, 1.0 / precision
-        return Prediction(
-            occupancy=self.link.probability(mean, variance, self.prior_variance),
-            mean=mean,
-            variance=variance,
-            known=variance < self.known_variance_ratio * self.prior_variance,
-        )
+        known = variance < self.known_variance_ratio * self.prior_variance
+        return Prediction(occupancy, mean, variance, known)
 
     def grid(
         self, bbox: Bounds, resolution_m: float, fusion: str = "bcm", method: str = "exact"

@@ -48,11 +48,12 @@ def run(settings: Settings, announce: Callable[[str], None], ending: Ending) -> 
 
 
 def leave(code: int) -> None:
-    """End the process here and now if a thread is still in compiled code, else do nothing.
+    """End the process here and now, unless nothing was begun that may still run.
 
-    Such a thread cannot be interrupted, and an interpreter that is torn down under it crashes.
+    A thread in compiled code cannot be interrupted, one of zenoh's may yet call a function of
+    ours: an interpreter that is torn down under them crashes.
     """
-    if any(thread.name.startswith("gpom-") for thread in threading.enumerate()):
+    if code == 0 or any(thread.name.startswith("gpom-") for thread in threading.enumerate()):
         logging.shutdown()
         sys.stdout.flush()
         sys.stderr.flush()

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from gpom_core.evidence import Evidence
 from gpom_core.expert import Expert
@@ -156,6 +157,25 @@ def posterior(
     k = h.signal_std**2 * cross(o.kinds, o.geometry, points, h.length_scale_m)
     explained = np.einsum("mi,mi->m", k @ expert.precision, k)
     return k @ expert.weights, h.signal_std**2 - explained
+
+
+def weighed(expert: Expert, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What hits and passes at points (n, 2) weigh, (2, n), observation by observation."""
+    o, h = expert.observations, expert.hyperparameters
+    weights = h.signal_std**2 / o.noise_variance
+    out = np.zeros((2, len(points)))
+    for kind, (low, high), weight in zip(o.kinds, o.geometry, weights, strict=True):
+        start, end = (points - low) / h.length_scale_m, (points - high) / h.length_scale_m
+        if kind == POINT:
+            out[0] += weight * np.exp(-16.0 * (start**2).sum(axis=1))
+        elif kind == BOX:
+            out[1] += weight * (ndtr(start) - ndtr(end)).prod(axis=1)
+        else:
+            length = np.linalg.norm(high - low) / h.length_scale_m
+            at = start @ (high - low) / (length * h.length_scale_m)
+            across2 = (start**2).sum(axis=1) - at**2
+            out[1] += weight * np.exp(-0.5 * across2) * (ndtr(at) - ndtr(at - length))
+    return out
 
 
 def evidence_by_key(evidence: Evidence) -> dict[tuple[int, int], tuple[float, NDArray[np.float64]]]:

@@ -51,6 +51,6 @@ def test_squares_that_did_not_change_answer_the_same(versions) -> None:
 
 
 def test_another_calibration_changes_all(versions) -> None:
-    recalibrated = versions[1].with_link(Link((3.0, 0.0, 0.0, 0.0, 0.0)))
+    recalibrated = versions[1].with_link(Link((3.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
 
     assert changed_squares(versions[1], recalibrated) == squares(versions[1])

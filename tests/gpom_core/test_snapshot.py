@@ -3,13 +3,17 @@
 import numpy as np
 import pytest
 
-from gpom_core.committee import Fusion, fuse
+from gpom_core.committee import OF_HITS, Fusion, fuse
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidQueryError
+from gpom_core.expert import Hyperparameters, train
+from gpom_core.kernels import Kind
 from gpom_core.link import Link
 from gpom_core.mapper import LENGTH_SCALE_RANGE, Mapper
+from gpom_core.member import member_of
+from gpom_core.observations import Observations
 from gpom_core.snapshot import Prediction, Snapshot, grid_shape
-from tests.gpom_core.synthetic import look, posterior, tour
+from tests.gpom_core.synthetic import look, posterior, tour, weighed
 
 
 def mapped(scans: int = 10, **settings: object) -> Mapper:
@@ -40,12 +44,21 @@ def by_brute_force(
     return fuse(means, variances, snapshot.prior_variance, fusion)
 
 
+def probability(
+    snapshot: Snapshot, mean: np.ndarray, variance: np.ndarray, points: np.ndarray
+) -> np.ndarray:
+    """By the link, what the evidence at the points weighs being added up one by one."""
+    counts = sum(weighed(m.expert, points) for m in snapshot.members.values())
+    left = variance / snapshot.prior_variance
+    return snapshot.link.probability(mean, left, *np.log1p(counts))
+
+
 @pytest.mark.parametrize("fusion", list(Fusion))
 def test_the_index_changes_no_probability_by_a_thousandth(
     snapshot: Snapshot, points: np.ndarray, fusion: Fusion
 ) -> None:
     mean, variance = by_brute_force(snapshot, points, fusion)
-    exact = snapshot.link.probability(mean, variance, snapshot.prior_variance)
+    exact = probability(snapshot, mean, variance, points)
     got = snapshot.query(points, fusion.name.lower())
     assert abs(got.occupancy - exact).max() < 5e-4
     assert abs(got.mean - mean).max() < 5e-3
@@ -66,7 +79,7 @@ def test_the_index_is_as_good_whatever_the_map_is_made_of(
 ) -> None:
     snapshot = mapped(5, **settings).snapshot()
     mean, variance = by_brute_force(snapshot, points, Fusion.BCM)
-    exact = snapshot.link.probability(mean, variance, snapshot.prior_variance)
+    exact = probability(snapshot, mean, variance, points)
     assert abs(snapshot.query(points).occupancy - exact).max() < 1e-3
 
 
@@ -227,12 +240,46 @@ def test_shards_of_a_committee_are_a_committee(snapshot: Snapshot, points: np.nd
     empty = snapshot.emptied()
     shards = [empty.swapped(members[i::3]) for i in range(3)]
     for fusion in (Fusion.BCM, Fusion.RBCM):
-        sums = [shard.sums(points, fusion) for shard in shards]
-        precision = sum(s[0] for s in sums) - 2.0 / snapshot.prior_variance
-        information = sum(s[1] for s in sums)
+        together = np.sum([shard.sums(points, fusion) for shard in shards], axis=0)
         whole = snapshot.sums(points, fusion)
-        np.testing.assert_allclose(precision, whole[0], rtol=1e-9)
-        np.testing.assert_allclose(information, whole[1], rtol=1e-9, atol=1e-9)
+        assert (whole.max(axis=0) > 1.0).all()
+        np.testing.assert_allclose(together, whole, rtol=1e-9, atol=1e-9)
+
+
+def test_the_counts_of_a_place_are_those_of_the_evidence_at_it() -> None:
+    """Hits within a sixth of a length scale, free areas that the place is in, by their weight."""
+    near, far = 0.0, 3.0
+    kinds = np.array([Kind.POINT, Kind.POINT, Kind.BOX], np.uint8)
+    geometry = np.array([[[near, 0.0]] * 2, [[far, 0.0]] * 2, [[-2.0, 1.0], [2.0, 5.0]]])
+    noise = np.array([0.5, 0.25, 0.1])
+    signal_std, scale = 1.5, 0.2
+    seen = Observations(kinds, geometry, np.array([1.0, 1.0, -1.0]), noise, np.ones(3))
+    expert = train(seen, Hyperparameters(scale, signal_std))
+    snapshot = Snapshot(prior_variance=signal_std**2).swapped(
+        [member_of(0, 1, expert, geometry[0])]
+    )
+    at = np.array([[0.0, 0.0], [0.02, 0.03], [0.3, 0.0], [far, 0.0], [0.0, 3.0], [0.0, 5.0]])
+    hits, passes = snapshot.sums(at)[:, OF_HITS:].T
+    narrow = scale / np.sqrt(32.0)
+    close = np.exp(-0.5 * (0.02**2 + 0.03**2) / narrow**2)
+    weight = signal_std**2 / noise
+    expected = [weight[0], close * weight[0], 0.0, weight[1], 0.0, 0.0]
+    assert hits == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert passes[4:] == pytest.approx([weight[2], 0.5 * weight[2]], rel=1e-6)
+    assert passes[3] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_the_counts_of_a_whole_beam_are_those_along_it() -> None:
+    geometry = np.array([[[0.0, 0.0], [6.0, 8.0]]])
+    seen = Observations(
+        np.array([Kind.SEGMENT], np.uint8), geometry, np.array([-1.0]), np.array([0.5]), np.ones(1)
+    )
+    snapshot = Snapshot().swapped(
+        [member_of(0, 1, train(seen, Hyperparameters(0.2, 1.0)), geometry[0])]
+    )
+    hits, passes = snapshot.sums(np.array([[3.0, 4.0], [0.0, 0.0], [4.0, -3.0]]))[:, OF_HITS:].T
+    assert hits.tolist() == [0.0] * 3
+    assert passes == pytest.approx([2.0, 1.0, 0.0], abs=1e-6)
 
 
 def test_the_order_in_which_experts_came_does_not_matter(
@@ -298,7 +345,7 @@ def test_where_nothing_reaches_all_is_unknown(snapshot: Snapshot, points: np.nda
 def test_a_new_calibration_changes_probabilities_and_nothing_else(
     snapshot: Snapshot, points: np.ndarray
 ) -> None:
-    other = snapshot.with_link(Link((1.0, 0.0, 0.0, 0.0, 0.0)))
+    other = snapshot.with_link(Link((1.0, 0.0, 0.0, 0.0, 0.0, 0.0)))
     a, b = snapshot.query(points), other.query(points)
     assert np.array_equal(a.mean, b.mean)
     assert np.array_equal(a.variance, b.variance)

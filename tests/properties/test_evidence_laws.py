@@ -21,6 +21,7 @@ from tests.gpom_core.synthetic import (
     moved,
     posterior,
     scan_of,
+    weighed,
 )
 
 MODES = ["areas", "segments"]
@@ -153,9 +154,9 @@ def test_indexed_answers_are_those_of_the_whole_committee(mode: str, scans: list
         return
     opinions = [posterior(m.expert, points) for m in snapshot.members.values()]
     means, variances = (np.array(part) for part in zip(*opinions, strict=True))
-    exact = snapshot.link.probability(
-        *fuse(means, variances, snapshot.prior_variance), snapshot.prior_variance
-    )
+    mean, variance = fuse(means, variances, snapshot.prior_variance)
+    counts = sum(weighed(m.expert, points) for m in snapshot.members.values())
+    exact = snapshot.link.probability(mean, variance / snapshot.prior_variance, *np.log1p(counts))
     assert abs(answer.occupancy - exact).max() < 2e-3
 
 
