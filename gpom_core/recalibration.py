@@ -36,14 +36,7 @@ _NEGLIGIBLE = 0.05  # share of an observation: an expert that loses less than th
 _SEED = 20220918
 
 _Floats = NDArray[np.float64]
-<<<<<<< HEAD
-LeftOut = tuple[_Floats, _Floats, NDArray[np.bool_]]
-=======
 LeftOut = tuple[_Floats, NDArray[np.bool_]]
-_Asked = tuple[Scan, _Floats, NDArray[np.bool_]]
-Run = Callable[[Callable[[_Asked], LeftOut], Iterable[_Asked]], Iterator[LeftOut]]
-"""How scans are left out: `map` does one after the other, that of an executor several at once."""
->>>>>>> 69e8468 (The link hears how often the place itself was hit and passed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,13 +60,8 @@ class CalibrationJob:
     def steps(self) -> Iterator[Link | None]:
         """The same in short steps: None after each scan, the link at last."""
         prior = self.snapshot.prior_variance
-<<<<<<< HEAD
-        seen: list[LeftOut] = [(np.empty(0), np.empty(0), np.empty(0, np.bool_))]
-        for part in leave_scans_out(self.snapshot, self.scans, self.config):
-=======
         seen: list[LeftOut] = [(np.empty((0, SUMS)), np.empty(0, np.bool_))]
-        for part in leave_scans_out(self.snapshot, self.scans, self.config, run):
->>>>>>> 69e8468 (The link hears how often the place itself was hit and passed)
+        for part in leave_scans_out(self.snapshot, self.scans, self.config):
             seen.append(part)
             yield None
         sums, occupied = (np.concatenate(column) for column in zip(*seen, strict=True))
@@ -96,22 +84,10 @@ def leave_scans_out(
     """
     rng = np.random.default_rng(_SEED)
     index = _Index(snapshot, config)
-<<<<<<< HEAD
     for scan in scans:
         points, occupied = _questions(scan, config, rng)
-        if len(points) == 0:
-            continue
-        precision, information = index.without(scan, points).sums(points)
-        yield information / precision, 1.0 / precision, occupied
-=======
-    asked = [(scan, *_questions(scan, config, rng)) for scan in scans]
-
-    def leave_out(one: _Asked) -> LeftOut:
-        scan, points, occupied = one
-        return index.without(scan, points).sums(points), occupied
-
-    yield from run(leave_out, [one for one in asked if len(one[1]) > 0])
->>>>>>> 69e8468 (The link hears how often the place itself was hit and passed)
+        if len(points) > 0:
+            yield index.without(scan, points).sums(points), occupied
 
 
 def _questions(
