@@ -10,7 +10,7 @@ from gpom_core.jit import compiled
 from gpom_core.open_space import GRAZED, cross_whole, found_areas, is_open
 from gpom_core.rows import NONE, Rows, cell_key, find_or_add
 from gpom_core.tiles import FREE, HIT, TILE_AREA, Tiles, open_from
-from gpom_core.walk import WINDOW_TILES, Crossed, crossed_in, span, walk
+from gpom_core.walk import WINDOW_TILES, Crossed, crossed_in, walk
 
 CONTRADICTED = 32.0  # what fades may be one of an expert's places; `news` looks at it closely
 
@@ -18,6 +18,7 @@ CONTRADICTED = 32.0  # what fades may be one of an expert's places; `news` looks
 @compiled
 def absorb_free_areas(
     start: tuple[int, int],
+    spanned: tuple[int, int, int, int],
     origin: NDArray[np.float64],
     direction: NDArray[np.float64],
     free_m: NDArray[np.float64],
@@ -40,6 +41,7 @@ def absorb_free_areas(
 
     Args:
         start: the window to begin with, and the tile in it if it was walked; at first 0 and NONE.
+        spanned: see `walk.span`.
         origin: (2,) sensor. direction: (n, 2) unit. free_m: (n,) length of each free part.
         homes: (n,) cluster of each beam.
         length_m: (64 w,) 0 and last: (w,) NONE: a window of at least `walk.window_room` tiles. They
@@ -51,7 +53,7 @@ def absorb_free_areas(
         Where to go on when there is room for one more tile, its rows and a cluster; NONE, NONE
         when all is done.
     """
-    tx, ty, nx, ny = span(origin, direction, free_m, cell_m)
+    tx, ty, nx, ny = spanned
     across, along = -(-nx // WINDOW_TILES), -(-ny // WINDOW_TILES)
     first = start[1]
     for window in range(start[0], across * along):
@@ -85,7 +87,7 @@ def _merge(
     crossed_m, per_cell = crossed.length_m, 1.0 / cell_m
     free, hits, count, owner = tiles.free, tiles.hit, rows.count, rows.owner
     gain, fresh = clusters.gain, clusters.fresh
-    places = np.empty(TILE_AREA, np.int64)
+    places = np.empty(TILE_AREA, np.uint8)  # unsigned: nobody counts from the end
     for w in range(first, len(crossed.beam)):
         if crossed.beam[w] == NONE:
             continue
@@ -97,11 +99,12 @@ def _merge(
             return w
         tx, ty = crossed.corner[0] + w // crossed.breadth, crossed.corner[1] + w % crossed.breadth
         tile, _ = find_or_add(tiles.slots, tiles.keys, tiles.size, cell_key(0, tx, ty), 0)
+        lengths, areas, surfaces = crossed_m[w], free[tile], hits[tile]
         n, missing = 0, 0
         for place in range(TILE_AREA):
             places[n] = place
-            n += crossed_m[w, place] > 0.0
-            missing += (crossed_m[w, place] > 0.0) & (free[tile, place] == NONE)
+            n += lengths[place] > 0.0
+            missing += (lengths[place] > 0.0) & (areas[place] == NONE)
         home = homes[crossed.beam[w]]
         crossed.beam[w] = NONE
         if n == 0:
@@ -112,27 +115,34 @@ def _merge(
             and tiles.used[tile, HIT] == 0
             and is_open(tx, ty, tiles, open_from(near_m, cell_m))
         ):
-            cross_whole(
-                tx, ty, tile, home, crossed_m[w] * per_cell, rows, tiles, clusters, cell_m, cap
-            )
-            crossed_m[w] = 0.0
+            cross_whole(tx, ty, tile, home, lengths * per_cell, rows, tiles, clusters, cell_m, cap)
+            lengths[:] = 0.0
             continue
         if missing > 0:
-            found_areas(tx, ty, places[:n], tile, home, NONE, rows, tiles, clusters, cell_m, near_m)
+            spare = tiles.whole[tile]  # there is none
+            found_areas(
+                tx, ty, places[:n], tile, home, spare, rows, tiles, clusters, cell_m, near_m
+            )
             for i in range(n):
-                row = free[tile, places[i]]
-                news = crossed_m[w, places[i]] * per_cell >= GRAZED
+                row = areas[places[i]]
+                news = lengths[places[i]] * per_cell >= GRAZED
                 fresh[owner[row]] += (count[row] == 0.0) & news
+        at = owner[areas[places[0]]]
+        moved = gain[at]  # kept at hand while areas are of one cluster, as most are
         for i in range(n):
-            row = free[tile, places[i]]
-            before, added = count[row], crossed_m[w, places[i]] * per_cell
+            place = places[i]
+            row = np.uint32(areas[place])
+            before, added = count[row], lengths[place] * per_cell
             count[row] = before + added
+            lengths[place] = 0.0
+            if owner[row] != at:
+                gain[at] = moved
+                at = owner[row]
+                moved = gain[at]
             if before < cap:
-                hit = hits[tile, places[i]]
-                if hit == NONE:
-                    gain[owner[row]] += shift(before, added, 0.0)
-                else:
-                    against = hit_weight * min(count[hit], hit_cap)
-                    gain[owner[row]] += CONTRADICTED * shift(before, added, against)
-            crossed_m[w, places[i]] = 0.0
+                hit, times, against = surfaces[place], 1.0, 0.0
+                if hit != NONE:
+                    times, against = CONTRADICTED, hit_weight * min(count[hit], hit_cap)
+                moved += times * shift(before, added, against)
+        gain[at] = moved
     return NONE

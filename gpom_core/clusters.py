@@ -244,9 +244,14 @@ def longer_than(clusters: Clusters, among: NDArray[np.int32], limit_m: float) ->
     for i in range(len(among)):
         # hits of one cluster come in runs
         if (i == 0 or among[i] != among[i - 1]) and length_m(clusters, among[i]) > limit_m:
-            out[n] = among[i]
-            n += 1
-    return np.unique(out[:n])
+            at = n  # few if any: sorted as they come
+            while at > 0 and out[at - 1] >= among[i]:
+                at -= 1
+            if at == n or out[at] != among[i]:
+                out[at + 1 : n + 1] = out[at:n].copy()
+                out[at] = among[i]
+                n += 1
+    return out[:n]
 
 
 @compiled

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core import clusters, news, rows, sight, tiles
+from gpom_core.beams import absorb_free_segments
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.handles import handle
-from gpom_core.integrate import integrate
+from gpom_core.integrate import SEGMENTS, integrate
 from gpom_core.observations import Seen, Weighing, observe
 from gpom_core.scan import Scan
 
@@ -61,7 +62,7 @@ class Evidence:
                 limits_m, self._rules, config.free_evidence == "segments", *self._handles(),
             )  # fmt: skip
             if not done:
-                self._make_room(len(ranges_m))
+                self._prepare(len(ranges_m))
             new = False
         if long:
             self._split_long(self._sight.long[:long])
@@ -82,13 +83,27 @@ class Evidence:
             self._known, self._addresses = held, [handle(arrays) for arrays in held]
         return self._addresses
 
-    def _make_room(self, beams: int) -> None:
-        """For what the sight says is needed, and so many beams."""
-        new_rows, new_tiles, new_clusters, window = self._sight.progress[sight.NEEDED :].tolist()
+    def _prepare(self, beams: int) -> None:
+        """Do what a scan of so many beams, which was begun, needs to go on."""
+        progress = self._sight.progress.tolist()
+        if progress[sight.STAGE] == SEGMENTS:
+            self._absorb_segments(progress[sight.BEAMS])
+            return
+        new_rows, new_tiles, new_clusters, window = progress[sight.NEEDED :]
         self.rows = rows.with_room(self.rows, new_rows)
         self.tiles = tiles.with_room(self.tiles, new_tiles)
         self.clusters = clusters.with_room(self.clusters, new_clusters)
         self._sight = sight.with_room(self._sight, beams, window)
+
+    def _absorb_segments(self, beams: int) -> None:
+        seen, c = self._sight, self.config
+        free_m = seen.free_m[:beams]
+        pieces = np.ceil(np.maximum(free_m, 0.0) / c.segment_m)
+        self.rows = rows.with_room(self.rows, int(pieces.sum()))
+        absorb_free_segments(
+            seen.origin, seen.direction[:beams], free_m, seen.homes[:beams],
+            self.rows, self.clusters, c.segment_m, 0.5 * c.segment_m, c.free_cap,
+        )  # fmt: skip
 
     def _split_long(self, long: NDArray[np.int32]) -> None:
         waiting = long.tolist()

@@ -149,7 +149,7 @@ def load(image: Image, config: MapConfig, executor: Executor | None = None) -> M
     mapper = Mapper(config)
     evidence = mapper._evidence
     evidence.rows = _load_rows(arrays, config)
-    evidence.tiles = _load_tiles(arrays)
+    evidence.tiles = _load_tiles(arrays, config)
     evidence.clusters = _load_clusters(arrays, evidence.rows)
     (
         mapper._scans, mapper._telling, mapper._telling_then, mapper._calibrated,
@@ -312,7 +312,7 @@ def _load_rows(arrays: Image, config: MapConfig) -> Rows:
     return rows
 
 
-def _load_tiles(arrays: Image) -> Tiles:
+def _load_tiles(arrays: Image, config: MapConfig) -> Tiles:
     used, rows = len(arrays["tile_keys"]), len(arrays["row_kind"])
     for name in ("tile_free", "tile_hit", "tile_first", "tile_whole"):
         _within(arrays[name].ravel(), NONE, rows, name)
@@ -332,6 +332,9 @@ def _load_tiles(arrays: Image) -> Tiles:
     tiles.passed[whole] = passed
     for kind, held in enumerate((tiles.free, tiles.hit)):
         tiles.used[:used, kind] = np.count_nonzero(held[:used] != NONE, axis=1)
+    free = tiles.free[:used]
+    near = np.minimum(np.asarray(arrays["row_near"], np.float64), config.near_surface_m)
+    tiles.around[:used][free != NONE] = near[free[free != NONE]] ** 2
     tile_room._index(tiles, keys)
     return tiles
 

@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.areas import absorb_free_areas
-from gpom_core.beams import absorb_free_segments
-from gpom_core.clusters import Clusters, clusters_at
-from gpom_core.jit import compiled
+from gpom_core.clusters import clusters_at
+from gpom_core.jit import compiled, inlined
 from gpom_core.open_space import divide_close
-from gpom_core.rows import NONE, Rows, rows_at
+from gpom_core.rows import NONE, rows_at
 from gpom_core.sight import (
     BEAMS,
     CLUSTERS_BEFORE,
@@ -22,14 +21,13 @@ from gpom_core.sight import (
     TILE,
     WINDOW,
     Rules,
-    Sight,
     see,
     sight_at,
 )
-from gpom_core.tiles import CLOSE, TILE_AREA, TILE_SHIFT, Tiles, tiles_at
+from gpom_core.tiles import CLOSE, TILE_AREA, TILE_SHIFT, tiles_at
 from gpom_core.walk import span, window_room
 
-_SEE, _DIVIDE, _COUNT, _DONE = range(4)
+SEE, DIVIDE, COUNT, SEGMENTS, DONE = range(5)  # stages, in `progress[STAGE]`
 
 
 @compiled
@@ -51,7 +49,8 @@ def integrate(
     Args:
         new: whether to begin with the scan, and not to go on with it in arrays that have grown.
         ranges_m, pose, angles_rad, limits_m: see `sight.see`.
-        numbers: the `Rules`. segments: whether free evidence is segments and not areas.
+        numbers: the `Rules`. segments: whether the caller cuts the free part into segments when
+            stage `SEGMENTS` is reached; else it is counted as areas.
         row_handle, tile_handle, cluster_handle, sight_handle: see `gpom_core.handles`.
 
     Returns:
@@ -62,90 +61,67 @@ def integrate(
     rows, tiles, clusters = rows_at(row_handle), tiles_at(tile_handle), clusters_at(cluster_handle)
     sight = sight_at(sight_handle)
     p = sight.progress
+    room = (
+        len(rows.keys) - rows.size[0],
+        len(tiles.keys) - tiles.size[0],
+        len(clusters.head) - clusters.size[0],
+        len(sight.last),
+    )
     if new:
-        if p[STAGE] != _DONE:  # the last scan was given up halfway, for want of memory
+        if p[STAGE] != DONE:  # the last scan was given up halfway, for want of memory
             sight.crossed_m[:], sight.last[:] = 0.0, NONE
-        p[STAGE], p[WINDOW], p[TILE] = _SEE, 0, NONE
+        p[STAGE], p[WINDOW], p[TILE] = SEE, 0, NONE
         p[ROWS_BEFORE], p[CLUSTERS_BEFORE] = rows.size[0], clusters.size[0]
-    if p[STAGE] == _SEE:
+    if p[STAGE] == SEE:
         n = len(ranges_m)
-        if _lacks(sight, rows, tiles, clusters, n, n, n + 1) or n > len(sight.free_m):
+        if _lacks(p, room, (n, n, n + 1, 0)) or n > len(sight.free_m):
             return False, 0, 0, 0
         see(ranges_m, pose, angles_rad, limits_m, rules, rows, tiles, clusters, sight)
-        p[STAGE] = _DIVIDE
-    if p[STAGE] == _DIVIDE:
+        room = len(rows.keys) - rows.size[0], room[1], room[2], room[3]
+        p[STAGE] = DIVIDE
+    if p[STAGE] == DIVIDE:
         if tiles.size[CLOSE] > 0:
-            if _lacks(sight, rows, tiles, clusters, tiles.size[CLOSE] * TILE_AREA, 0, 0):
+            if _lacks(p, room, (tiles.size[CLOSE] * TILE_AREA, 0, 0, 0)):
                 return False, 0, 0, 0
             divide_close(rows, tiles, clusters, rules.cell_m, rules.near_surface_m)
-        p[STAGE] = _COUNT
-    if p[STAGE] == _COUNT:
+        p[STAGE] = SEGMENTS if segments else COUNT
         if segments:
-            counted = _count_segments(sight, rules, rows, tiles, clusters)
-        else:
-            counted = _count_areas(sight, rules, rows, tiles, clusters)
-        if not counted:
             return False, 0, 0, 0
-        p[STAGE] = _DONE
-    _forget_unused(clusters, p[CLUSTERS_BEFORE])
+    if p[STAGE] == COUNT:
+        beams = p[BEAMS]
+        direction, free_m = sight.direction[:beams], sight.free_m[:beams]
+        tx, ty, nx, ny = span(sight.origin, direction, free_m, rules.cell_m)
+        if _lacks(p, room, (0, 0, 0, window_room((nx, ny)))):
+            return False, 0, 0, 0
+        p[WINDOW], p[TILE] = absorb_free_areas(
+            (p[WINDOW], p[TILE]), (tx, ty, nx, ny), sight.origin, direction, free_m,
+            sight.homes, sight.crossed_m, sight.last, rows, tiles, clusters,
+            rules.cell_m, rules.near_surface_m, rules.coarse_levels >= TILE_SHIFT,
+            rules.free_cap, rules.hit_cap, (rules.free_noise_std / rules.hit_noise_std) ** 2,
+        )  # fmt: skip
+        if p[WINDOW] != NONE:
+            _lacks(p, room, (TILE_AREA, 1, 1, 0))
+            return False, 0, 0, 0
+    p[STAGE] = DONE
+    size = clusters.size[0]
+    while size > p[CLUSTERS_BEFORE] and clusters.rows[size - 1] == 0:
+        size -= 1  # founded in vain: all that it saw was known already
+    clusters.size[0] = size
     return True, p[HITS], rows.size[0] - p[ROWS_BEFORE], p[LONG]
 
 
-@compiled
+@inlined
 def _lacks(
-    sight: Sight, rows: Rows, tiles: Tiles, clusters: Clusters,
-    new_rows: int, new_tiles: int, new_clusters: int,
-) -> bool:  # fmt: skip
-    """Whether there is no room for so many more; if so, that is what is needed."""
-    needed = sight.progress[NEEDED:]
-    needed[0], needed[1], needed[2] = new_rows, new_tiles, new_clusters
-    return bool(
-        rows.size[0] + new_rows > len(rows.keys)
-        or tiles.size[0] + new_tiles > len(tiles.keys)
-        or clusters.size[0] + new_clusters > len(clusters.head)
-    )
-
-
-@compiled
-def _count_areas(sight: Sight, rules: Rules, rows: Rows, tiles: Tiles, clusters: Clusters) -> bool:
-    """Count the free part of beams in the cells that they cross; False if there is no room."""
-    p, beams = sight.progress, sight.progress[BEAMS]
-    direction, free_m, homes = sight.direction[:beams], sight.free_m[:beams], sight.homes[:beams]
-    _, _, nx, ny = span(sight.origin, direction, free_m, rules.cell_m)
-    p[NEEDED + 3] = window_room((nx, ny))
-    if p[NEEDED + 3] > len(sight.last):
-        return False
-    p[WINDOW], p[TILE] = absorb_free_areas(
-        (p[WINDOW], p[TILE]), sight.origin, direction, free_m, homes, sight.crossed_m, sight.last,
-        rows, tiles, clusters, rules.cell_m, rules.near_surface_m,
-        rules.coarse_levels >= TILE_SHIFT, rules.free_cap, rules.hit_cap,
-        (rules.free_noise_std / rules.hit_noise_std) ** 2,
-    )  # fmt: skip
-    return p[WINDOW] == NONE or not _lacks(sight, rows, tiles, clusters, TILE_AREA, 1, 1)
-
-
-@compiled
-def _count_segments(
-    sight: Sight, rules: Rules, rows: Rows, tiles: Tiles, clusters: Clusters
+    progress: NDArray[np.int64],
+    room: tuple[int, int, int, int],
+    needed: tuple[int, int, int, int],
 ) -> bool:
-    """Cut the free part of beams into segments; False if there is no room."""
-    beams = sight.progress[BEAMS]
-    pieces = 0
-    for b in range(beams):
-        pieces += int(np.ceil(max(sight.free_m[b], 0.0) / rules.segment_m))
-    if _lacks(sight, rows, tiles, clusters, pieces, 0, 0):
-        return False
-    absorb_free_segments(
-        sight.origin, sight.direction[:beams], sight.free_m[:beams], sight.homes[:beams],
-        rows, clusters, rules.segment_m, 0.5 * rules.segment_m, rules.free_cap,
-    )  # fmt: skip
-    return True
+    """Whether there is no room for so many rows, tiles, clusters and tiles of the window.
 
-
-@compiled
-def _forget_unused(clusters: Clusters, before: int) -> None:
-    """Give back the numbers of clusters founded in vain: all they saw was known already."""
-    size = clusters.size[0]
-    while size > before and clusters.rows[size - 1] == 0:
-        size -= 1
-    clusters.size[0] = size
+    The progress says what is needed.
+    """
+    lacks = False
+    for i in range(4):
+        progress[NEEDED + i] = needed[i]
+        lacks |= needed[i] > room[i]
+    return lacks

@@ -127,20 +127,24 @@ def divide_close(
     """Give every cell of the tiles that surfaces came near to a row. The caller has made room."""
     offset, mask = 1 << (COORDINATE_BITS - 1), (1 << COORDINATE_BITS) - 1
     for i in range(tiles.size[CLOSE]):
-        tile = int(tiles.close[i])
+        tile = int(np.int64(tiles.close[i]))  # as from `rows.find_or_add`
         key = tiles.keys[tile, 0]
         tx, ty = ((key >> COORDINATE_BITS) & mask) - offset, (key & mask) - offset
-        row = int(tiles.whole[tile])
-        home = int(rows.owner[row])
+        row = tiles.whole[tile]
+        home = rows.owner[row]
         detach(rows.owner, rows.before, rows.after, clusters.head, clusters.rows, row)
         clusters.fresh[home] += 1
         tiles.whole[tile] = NONE
         rows.crossed[row] = 0
-        places = np.flatnonzero(tiles.passed[tile])
+        n, places = 0, np.empty(TILE_AREA, np.uint8)
+        for place in range(TILE_AREA):
+            places[n] = place
+            n += tiles.passed[tile, place] > 0.0
+        places = places[:n]
         found_areas(tx, ty, places, tile, home, row, rows, tiles, clusters, cell_m, near_m)
-        for place in places:
-            area = tiles.free[tile, place]
-            rows.count[area] = tiles.passed[tile, place]
+        for at in places:
+            area = tiles.free[tile, at]
+            rows.count[area] = tiles.passed[tile, at]
             clusters.fresh[rows.owner[area]] += 1
         tiles.passed[tile, :] = 0.0
     tiles.size[CLOSE] = 0
@@ -148,7 +152,7 @@ def divide_close(
 
 @compiled
 def found_areas(
-    tx: int, ty: int, places: NDArray[np.int64], tile: int, home: int, spare: int, rows: Rows,
+    tx: int, ty: int, places: NDArray[np.uint8], tile: int, home: int, spare: int, rows: Rows,
     tiles: Tiles, clusters: Clusters, cell_m: float, near_m: float,
 ) -> None:  # fmt: skip
     """Rows for those places of a tile that have none, given to the cluster that is at home there.
@@ -162,8 +166,8 @@ def found_areas(
     for place in places:
         if tiles.free[tile, place] != NONE:
             continue
-        ix = tx * TILE_CELLS + (place >> TILE_SHIFT)
-        iy = ty * TILE_CELLS + (place & (TILE_CELLS - 1))
+        ix = tx * TILE_CELLS + int(place >> TILE_SHIFT)
+        iy = ty * TILE_CELLS + int(place & (TILE_CELLS - 1))
         if row == NONE:
             row = add_unindexed(rows, 0)
         rows.keys[row, 0] = cell_key(BOX, ix, iy)
@@ -178,6 +182,7 @@ def found_areas(
             (ix + 0.5) * cell_m, (iy + 0.5) * cell_m, hit, rows, tiles, cell_m, near_m
         )
         tiles.far_m[tile] = max(tiles.far_m[tile], rows.near[row])
+        tiles.around[tile, place] = min(rows.near[row], near_m) ** 2
         mine = home
         if hit != NONE:
             mine = owner[hit]

@@ -37,7 +37,6 @@ class Rules(NamedTuple):
     free_noise_std: float
     hit_cap: float
     free_cap: float
-    segment_m: float
     coarse_levels: float
 
 

@@ -27,7 +27,6 @@ from gpom_core.tiles import (
     TILE_SHIFT,
     Tiles,
     cells_to_tile,
-    gap_to_tile,
     open_from,
     place_in_tile,
     tile_at,
@@ -64,7 +63,8 @@ def absorb_hits(
         keys[i] = cell_key(
             POINT, int(np.floor(xy[i, 0] / hit_cell_m)), int(np.floor(xy[i, 1] / hit_cell_m))
         )
-        found[i] = find(slots, places, keys[i], 0)
+        again = i > 0 and keys[i] == keys[i - 1]
+        found[i] = found[i - 1] if again else find(slots, places, keys[i], 0)
         fresh += found[i] == NONE
     before = rows.size[0]
     if fresh > 0:
@@ -141,8 +141,8 @@ def _new_hit(
 ) -> None:  # fmt: skip
     """Fill a new row with a hit of cluster `home`."""
     rows.kind[row] = POINT
-    rows.geometry[row, :, 0] = x
-    rows.geometry[row, :, 1] = y
+    for end in range(2):
+        rows.geometry[row, end, 0], rows.geometry[row, end, 1] = x, y
     rows.near[row] = 0.0
     attach(rows.owner, rows.before, rows.after, clusters.head, clusters.rows, row, home)
     add_hit_moments(clusters, home, x, y)
@@ -163,7 +163,7 @@ def _claim_free_areas(
 
     Tiles around it that are one free area are to be divided.
     """
-    near, far_m, free, used = rows.near, tiles.far_m, tiles.free, tiles.used
+    near, far_m, free, used, around = rows.near, tiles.far_m, tiles.free, tiles.used, tiles.around
     slots, keys = tiles.slots, tiles.keys
     owner, before, after = rows.owner, rows.before, rows.after
     head, length, fresh = clusters.head, clusters.rows, clusters.fresh
@@ -174,16 +174,17 @@ def _claim_free_areas(
     ix, iy = int(np.floor(x / cell_m)), int(np.floor(y / cell_m))
     reach = open_from(near_m, cell_m)
     reach_m = (reach + 1.0) * cell_m
+    last_y = int(np.floor((y + reach_m) / edge))
     for tx in range(int(np.floor((x - reach_m) / edge)), int(np.floor((x + reach_m) / edge)) + 1):
-        for ty in range(
-            int(np.floor((y - reach_m) / edge)), int(np.floor((y + reach_m) / edge)) + 1
-        ):
-            gap = gap_to_tile(tx, ty, x, y, cell_m)
-            if gap >= reach_m:
+        dx = max(tx * edge - x, x - (tx + 1) * edge, 0.0)
+        for ty in range(int(np.floor((y - reach_m) / edge)), last_y + 1):
+            dy = max(ty * edge - y, y - (ty + 1) * edge, 0.0)
+            gap = dx * dx + dy * dy  # squared, like all distances here
+            if gap >= reach_m * reach_m:
                 continue
             tile = find(slots, keys, cell_key(0, tx, ty), 0)
             # most tiles have surfaces of their own, nearer than this one
-            if tile == NONE or gap >= far_m[tile]:
+            if tile == NONE or gap >= far_m[tile] * far_m[tile]:
                 continue
             if tiles.whole[tile] != NONE and cells_to_tile(ix, iy, tx, ty) < reach * reach:
                 tiles.close[tiles.size[CLOSE]] = tile
@@ -194,26 +195,30 @@ def _claim_free_areas(
                 continue
             for i in range(TILE_CELLS):
                 across[i] = ((ty * TILE_CELLS + i + 0.5) * cell_m - y) ** 2
-            nearer = False
+            nearer = 0
+            for i in range(TILE_CELLS):  # no branch within: eight cells at a time
+                along = (tx * TILE_CELLS + i + 0.5) * cell_m - x
+                for j in range(TILE_CELLS):
+                    held = around[tile, i * TILE_CELLS + j]
+                    nearer += 1 if along * along + across[j] < held else 0
+            if nearer == 0 and far_m[tile] < np.inf:
+                continue
+            far_m[tile] = 0.0
             for place in range(TILE_AREA):
                 row = free[tile, place]
                 if row == NONE:
                     continue
                 along = (tx * TILE_CELLS + (place >> TILE_SHIFT) + 0.5) * cell_m - x
                 square = along * along + across[place & (TILE_CELLS - 1)]
-                if square < near_m * near_m and square < near[row] * near[row]:
+                if square < around[tile, place]:
                     near[row] = np.sqrt(square)
-                    nearer = True
+                    around[tile, place] = near[row] * near[row]
                     if owner[row] != home:
                         fresh[owner[row]] += 1
                         fresh[home] += 1
                         detach(owner, before, after, head, length, row)
                         attach(owner, before, after, head, length, row, home)
-            if nearer or far_m[tile] == np.inf:
-                far_m[tile] = 0.0
-                for place in range(TILE_AREA):
-                    if free[tile, place] != NONE:
-                        far_m[tile] = max(far_m[tile], near[free[tile, place]])
+                far_m[tile] = max(far_m[tile], near[row])
 
 
 @compiled
@@ -231,20 +236,24 @@ def nearest_hit(
         tiles.used,
         tiles.hit,
     )
-    best, nearest = NONE, near_m
+    best, nearest = NONE, near_m * near_m  # squared, like all distances here
     if guess != NONE:
         dx, dy = x - geometry[guess, 0, 0], y - geometry[guess, 0, 1]
-        d = np.sqrt(dx * dx + dy * dy)
+        d = dx * dx + dy * dy
         if d < nearest:
             best, nearest = guess, d
     edge = TILE_CELLS * cell_m
     middle_x, middle_y = int(np.floor(x / edge)), int(np.floor(y / edge))
     ring = 0
-    while (ring - 1) * edge < nearest:  # rings of tiles, from the inside out
+    while ring < 2 or ((ring - 1) * edge) ** 2 < nearest:  # of tiles, from the inside out
         for tx in range(middle_x - ring, middle_x + ring + 1):
             whole = abs(tx - middle_x) == ring
+            gap_x = max(tx * edge - x, x - (tx + 1) * edge, 0.0)
+            if gap_x * gap_x >= nearest:
+                continue
             for ty in range(middle_y - ring, middle_y + ring + 1, 1 if whole else 2 * ring):
-                if gap_to_tile(tx, ty, x, y, cell_m) >= nearest:
+                gap_y = max(ty * edge - y, y - (ty + 1) * edge, 0.0)
+                if gap_x * gap_x + gap_y * gap_y >= nearest:
                     continue
                 tile = find(slots, keys, cell_key(0, tx, ty), 0)
                 if tile == NONE or used[tile, HIT] == 0:
@@ -253,8 +262,8 @@ def nearest_hit(
                     hit = hits[tile, place]
                     if hit != NONE:
                         dx, dy = x - geometry[hit, 0, 0], y - geometry[hit, 0, 1]
-                        d = np.sqrt(dx * dx + dy * dy)
+                        d = dx * dx + dy * dy
                         if d < nearest:
                             best, nearest = int(hit), d
         ring += 1
-    return best, (nearest if best != NONE else np.inf)
+    return best, (np.sqrt(nearest) if best != NONE else np.inf)

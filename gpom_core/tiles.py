@@ -33,6 +33,8 @@ class Tiles(NamedTuple):
         free: (t, 64) row of the free area of each cell.
         hit: (t, 64) row of the first hit in each cell.
         used: (t, 2) how many cells have a free area, and how many a hit.
+        around: (t, 64) squared distance from the free area of each cell within which a new hit is
+            its nearest; 0 where there is none.
         far_m: (t,) no free area of the tile is farther from its nearest hit.
         first: (t,) row of the tile's first free area in the open: its cluster is at home here.
         whole: (t,) row of the free area that stands for all cells, or NONE.
@@ -45,6 +47,7 @@ class Tiles(NamedTuple):
     free: NDArray[np.int32]
     hit: NDArray[np.int32]
     used: NDArray[np.int32]
+    around: NDArray[np.float64]
     far_m: NDArray[np.float64]
     first: NDArray[np.int32]
     whole: NDArray[np.int32]
@@ -61,6 +64,7 @@ def new_tiles(capacity: int = 256) -> Tiles:
         free=np.full((capacity, TILE_AREA), NONE, np.int32),
         hit=np.full((capacity, TILE_AREA), NONE, np.int32),
         used=np.zeros((capacity, 2), np.int32),
+        around=np.zeros((capacity, TILE_AREA)),
         far_m=np.full(capacity, np.inf),
         first=np.full(capacity, NONE, np.int32),
         whole=np.full(capacity, NONE, np.int32),
@@ -80,12 +84,13 @@ def tiles_at(handle: NDArray[np.int64]) -> Tiles:
         carray(pointer(handle[2, 0]), (capacity, TILE_AREA), np.int32),
         carray(pointer(handle[3, 0]), (capacity, TILE_AREA), np.int32),
         carray(pointer(handle[4, 0]), (capacity, 2), np.int32),
-        carray(pointer(handle[5, 0]), capacity, np.float64),
-        carray(pointer(handle[6, 0]), capacity, np.int32),
+        carray(pointer(handle[5, 0]), (capacity, TILE_AREA), np.float64),
+        carray(pointer(handle[6, 0]), capacity, np.float64),
         carray(pointer(handle[7, 0]), capacity, np.int32),
-        carray(pointer(handle[8, 0]), (capacity, TILE_AREA), np.float64),
-        carray(pointer(handle[9, 0]), capacity, np.int32),
-        carray(pointer(handle[10, 0]), 2, np.int64),
+        carray(pointer(handle[8, 0]), capacity, np.int32),
+        carray(pointer(handle[9, 0]), (capacity, TILE_AREA), np.float64),
+        carray(pointer(handle[10, 0]), capacity, np.int32),
+        carray(pointer(handle[11, 0]), 2, np.int64),
     )
 
 
@@ -99,6 +104,8 @@ def with_room(tiles: Tiles, extra: int) -> Tiles:
         getattr(grown, name)[:used] = getattr(tiles, name)[:used]
     whole = np.flatnonzero(tiles.whole[:used] != NONE)
     grown.passed[whole] = tiles.passed[whole]  # the others' memory is never touched
+    divided = np.flatnonzero(tiles.used[:used, FREE])
+    grown.around[divided] = tiles.around[divided]  # nor is that of these
     grown.size[CLOSE] = tiles.size[CLOSE]
     _index(grown, tiles.keys[:used])
     return grown
@@ -123,15 +130,6 @@ def tile_at(tiles: Tiles, ix: int, iy: int) -> int:
 def place_in_tile(ix: int, iy: int) -> int:
     """Number of cell (ix, iy) within its tile."""
     return ((ix & (TILE_CELLS - 1)) << TILE_SHIFT) | (iy & (TILE_CELLS - 1))
-
-
-@inlined
-def gap_to_tile(tx: int, ty: int, x: float, y: float, cell_m: float) -> float:
-    """Distance of the point (x, y) from the tile with index (tx, ty), metres; 0 inside."""
-    edge = TILE_CELLS * cell_m
-    dx = max(tx * edge - x, x - (tx + 1) * edge, 0.0)
-    dy = max(ty * edge - y, y - (ty + 1) * edge, 0.0)
-    return float(np.sqrt(dx * dx + dy * dy))
 
 
 @inlined

@@ -142,8 +142,11 @@ def walk(
             x_first = next_x <= next_y
             ix += sx if x_first else 0
             iy += 0 if x_first else sy
-            next_x += step_x if x_first else 0.0
-            next_y += 0.0 if x_first else step_y
+            # sums that do not wait for the comparison
+            next_x, next_y = (
+                next_x + step_x if x_first else next_x,
+                next_y if x_first else next_y + step_y,
+            )
 
 
 @compiled

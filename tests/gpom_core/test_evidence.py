@@ -114,15 +114,15 @@ def test_a_scan_given_up_for_want_of_memory_leaves_nothing_to_the_next(
 ) -> None:
     first, second = tour(2)
     evidence = cramped(MapConfig())
-    grow, turns = evidence._make_room, []
+    prepare, turns = evidence._prepare, []
 
     def refuse(beams: int) -> None:
         turns.append(beams)
         if len(turns) == 6:  # tiles were walked, and some of them counted
             raise MemoryError
-        grow(beams)
+        prepare(beams)
 
-    monkeypatch.setattr(evidence, "_make_room", refuse)
+    monkeypatch.setattr(evidence, "_prepare", refuse)
     with pytest.raises(MemoryError):
         evidence.add(first)
     monkeypatch.undo()
