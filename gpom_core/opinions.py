@@ -122,14 +122,14 @@ def tile_sums(
                 )  # fmt: skip
             if found == 0:
                 continue
+            _counts(
+                value.ctypes.data, near.ctypes.data, points_found, found, tables[k, COUNTS], size,
+                hits.ctypes.data, passes.ctypes.data,
+            )  # fmt: skip
             _ascending(near, value.ctypes.data, found)
             _moments(
                 value.ctypes.data, near.ctypes.data, found, tables[k, WEIGHTS],
                 tables[k, PRECISION], size, mean.ctypes.data, explained.ctypes.data,
-            )  # fmt: skip
-            _counts(
-                value.ctypes.data, near.ctypes.data, points_found, found, tables[k, COUNTS], size,
-                hits.ctypes.data, passes.ctypes.data,
             )  # fmt: skip
             for lane in range(lanes):
                 variance = max(signal * (1.0 - signal * explained[lane]), 1e-9 * signal)

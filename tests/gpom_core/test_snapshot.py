@@ -246,14 +246,16 @@ def test_shards_of_a_committee_are_a_committee(snapshot: Snapshot, points: np.nd
         np.testing.assert_allclose(together, whole, rtol=1e-9, atol=1e-9)
 
 
-def test_the_counts_of_a_place_are_those_of_the_evidence_at_it() -> None:
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+def test_the_counts_of_a_place_are_those_of_the_evidence_at_it(order: tuple[int, ...]) -> None:
     """Hits within a sixth of a length scale, free areas that the place is in, by their weight."""
     near, far = 0.0, 3.0
     kinds = np.array([Kind.POINT, Kind.POINT, Kind.BOX], np.uint8)
     geometry = np.array([[[near, 0.0]] * 2, [[far, 0.0]] * 2, [[-2.0, 1.0], [2.0, 5.0]]])
     noise = np.array([0.5, 0.25, 0.1])
     signal_std, scale = 1.5, 0.2
-    seen = Observations(kinds, geometry, np.array([1.0, 1.0, -1.0]), noise, np.ones(3))
+    targets, turned = np.array([1.0, 1.0, -1.0]), list(order)
+    seen = Observations(kinds[turned], geometry[turned], targets[turned], noise[turned], np.ones(3))
     expert = train(seen, Hyperparameters(scale, signal_std))
     snapshot = Snapshot(prior_variance=signal_std**2).swapped(
         [member_of(0, 1, expert, geometry[0])]
