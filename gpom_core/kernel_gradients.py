@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from gpom_core.averages import CUTOFF, interval_averages
 from gpom_core.jit import compiled
-from gpom_core.kernels import Kind
 from gpom_core.layout import distinct_intervals, line_nodes, whitened
 from gpom_core.quadrature import NODES, WEIGHTS
+from gpom_core.shapes import Kind
 from gpom_core.special import exp_neg
 
 _Floats = NDArray[np.float64]

@@ -14,8 +14,6 @@ The functions ending in ``_into`` are compiled, release the interpreter lock, ch
 may be called from compiled code. They take C-contiguous float64 arrays (kinds: uint8).
 """
 
-from enum import IntEnum
-from math import inf
 from typing import Final
 
 import numpy as np
@@ -39,33 +37,16 @@ from gpom_core.boxes import (
 )
 from gpom_core.jit import compiled, vectorised
 from gpom_core.layout import line_nodes, whitened
+from gpom_core.shapes import Kind, checked, fault_of, refuse, typed
 from gpom_core.special import exp_neg
 
 _Floats = NDArray[np.float64]
 _Integers = NDArray[np.integer]
 
 
-class Kind(IntEnum):
-    """What an observation's shape is."""
-
-    POINT = 0
-    SEGMENT = 1
-    BOX = 2
-
-
 _BOX: Final = int(Kind.BOX)
 _POINT: Final = int(Kind.POINT)
-_LONGEST: Final = 1e4  # length scales; quadrature takes two nodes for each
 _BLOCK: Final = 512  # query points handled together, so that tables stay in the cache
-
-_NOT_FINITE, _UNKNOWN_KIND, _CORNERS, _NOT_A_POINT, _TOO_LONG = range(1, 6)
-_FAULTS: Final = {
-    _NOT_FINITE: "geometry must be finite",
-    _UNKNOWN_KIND: "kinds must be values of Kind: 0 point, 1 segment, 2 box",
-    _CORNERS: "a box must have its low corner first: geometry[i, 0] <= geometry[i, 1]",
-    _NOT_A_POINT: "a point must be given twice: geometry[i, 0] == geometry[i, 1]",
-    _TOO_LONG: f"no shape may be longer than {_LONGEST:g} length scales; cut it into parts",
-}
 
 
 def gram(kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike) -> _Floats:
@@ -82,7 +63,7 @@ def gram(kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike) -> _Flo
     Raises:
         ValueError: what is passed does not fit together, is not finite, or is no such shape.
     """
-    checked_kinds, checked_geometry, inverse = _typed(kinds, geometry, length_scale)
+    checked_kinds, checked_geometry, inverse = typed(kinds, geometry, length_scale)
     out = np.empty((checked_kinds.size, checked_kinds.size))
     refuse(_gram_or_fault(checked_kinds, checked_geometry, inverse, out))
     return out
@@ -105,7 +86,7 @@ def cross(
     Raises:
         ValueError: what is passed does not fit together, is not finite, or is no such shape.
     """
-    checked_kinds, checked_geometry, inverse = _check(kinds, geometry, length_scale)
+    checked_kinds, checked_geometry, inverse = checked(kinds, geometry, length_scale)
     checked_points = np.ascontiguousarray(points, dtype=np.float64)
     if checked_points.ndim != 2 or checked_points.shape[1] != checked_geometry.shape[2]:
         raise ValueError(
@@ -127,69 +108,10 @@ def prior_variance_of(kinds: ArrayLike, geometry: ArrayLike, length_scale: Array
     Returns:
         (n,), 1 for points and less for anything larger.
     """
-    checked_kinds, checked_geometry, inverse = _check(kinds, geometry, length_scale)
+    checked_kinds, checked_geometry, inverse = checked(kinds, geometry, length_scale)
     out = np.empty(checked_kinds.size)
     prior_variance_into(checked_kinds, checked_geometry, inverse, out)
     return out
-
-
-def _check(
-    kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike
-) -> tuple[NDArray[np.uint8], _Floats, _Floats]:
-    """Arguments as the compiled functions need them; the length scale inverted, (d,)."""
-    typed = _typed(kinds, geometry, length_scale)
-    refuse(_fault(*typed))
-    return typed
-
-
-def refuse(fault: int) -> None:
-    """Raise the ValueError of a fault that is not 0."""
-    if fault:
-        raise ValueError(_FAULTS[fault])
-
-
-def _typed(
-    kinds: ArrayLike, geometry: ArrayLike, length_scale: ArrayLike
-) -> tuple[NDArray[np.uint8], _Floats, _Floats]:
-    """As `_check`, without a look at the numbers in kinds and geometry."""
-    shapes = np.ascontiguousarray(geometry, dtype=np.float64)
-    if shapes.ndim != 3 or shapes.shape[1] != 2 or shapes.shape[2] == 0:
-        raise ValueError(f"geometry must have shape (n, 2, d) with d >= 1, got {shapes.shape}")
-    n, _, d = shapes.shape
-    raw_kinds = np.asarray(kinds)
-    if raw_kinds.shape != (n,):
-        raise ValueError(f"kinds must have shape ({n},) as geometry has, got {raw_kinds.shape}")
-    checked_kinds = np.ascontiguousarray(raw_kinds, dtype=np.uint8)
-    if raw_kinds.dtype != np.uint8 and not np.array_equal(checked_kinds, raw_kinds):
-        raise ValueError(_FAULTS[_UNKNOWN_KIND])
-    scales = np.asarray(length_scale, dtype=np.float64)
-    if scales.shape not in ((), (d,)):
-        raise ValueError(f"length_scale must be one number or ({d},), got shape {scales.shape}")
-    each = scales.tolist() if scales.ndim else [float(scales)] * d
-    for x in each:
-        if not 0.0 < x < inf:
-            raise ValueError(f"length_scale must be finite and positive, got {each}")
-    return checked_kinds, shapes, np.array([1.0 / x for x in each])
-
-
-@compiled
-def _fault(kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats) -> int:
-    """Which of `_FAULTS` the arguments have, 0 for none."""
-    n, _, d = geometry.shape
-    for i in range(n):
-        if kinds[i] > _BOX:
-            return _UNKNOWN_KIND
-        for axis in range(d):
-            span = geometry[i, 1, axis] - geometry[i, 0, axis]
-            if not np.isfinite(span):
-                return _NOT_FINITE
-            if kinds[i] == _BOX and span < 0.0:
-                return _CORNERS
-            if kinds[i] == _POINT and span != 0.0:
-                return _NOT_A_POINT
-            if abs(span) * inverse_length_scale[axis] > _LONGEST:
-                return _TOO_LONG
-    return 0
 
 
 @vectorised
@@ -289,7 +211,7 @@ def gram_upper_into(
 
     Fast where points come first and boxes then, in two dimensions: what a map is made of.
     """
-    fault = _fault(kinds, geometry, inverse_length_scale)
+    fault = fault_of(kinds, geometry, inverse_length_scale)
     if fault != 0:
         return fault
     n, points = len(kinds), 0
@@ -316,7 +238,7 @@ def gram_upper_into(
 def _gram_or_fault(
     kinds: NDArray[np.uint8], geometry: _Floats, inverse_length_scale: _Floats, out: _Floats
 ) -> int:
-    fault = _fault(kinds, geometry, inverse_length_scale)
+    fault = fault_of(kinds, geometry, inverse_length_scale)
     if fault == 0:
         gram_into(kinds, geometry, inverse_length_scale, out)
     return fault

@@ -19,10 +19,11 @@ from gpom_core.expert import (
 )
 from gpom_core.inverse import LARGEST_SWEPT, addresses_for, padded
 from gpom_core.jit import compiled, vectorised
-from gpom_core.kernels import gram_upper_into, refuse
+from gpom_core.kernels import gram_upper_into
 from gpom_core.observations import Observations
 from gpom_core.reach import TILE_BITS, TILE_OFFSET, index_of, reach_of, tile_key
 from gpom_core.rows import BOX, SEGMENT
+from gpom_core.shapes import refuse
 from gpom_core.sides import sides_of
 
 Bounds = tuple[float, float, float, float]

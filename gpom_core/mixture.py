@@ -18,9 +18,10 @@ from gpom_core.clustering import Clustering, hits_of
 from gpom_core.committee import Fusion, contribution
 from gpom_core.expert import Expert
 from gpom_core.jit import compiled
-from gpom_core.kernels import Kind, cross, gram
+from gpom_core.kernels import cross, gram
 from gpom_core.observations import FREE, OCCUPIED, Observations
 from gpom_core.scan import Scan
+from gpom_core.shapes import Kind
 
 _Floats = NDArray[np.float64]
 _Labels = NDArray[np.int64]

@@ -24,7 +24,7 @@ class Observations:
     """What one expert is trained on; n observations in d dimensions.
 
     Attributes:
-        kinds: (n,) uint8, see `gpom_core.kernels.Kind`.
+        kinds: (n,) uint8, see `gpom_core.shapes.Kind`.
         geometry: (n, 2, d) metres: point twice, segment's ends, or box's low and high corner.
         targets: (n,) +1 for hits, -1 for what is free.
         noise_variance: (n,) of the merged target.

@@ -18,7 +18,7 @@ from gpom_core.jit import compiled, inlined
 from gpom_core.pointers import pointer
 
 NONE = -1
-POINT, SEGMENT, BOX = 0, 1, 2  # as kernels.Kind; plain numbers are what compiled code takes
+POINT, SEGMENT, BOX = 0, 1, 2  # as shapes.Kind; plain numbers are what compiled code takes
 COORDINATE_BITS = 29  # of a cell index; two of them and the kind fill an int64 key
 COORDINATE_LIMIT = 2 ** (COORDINATE_BITS - 1) - 4096
 

@@ -15,7 +15,8 @@ import scipy.special
 from numba import njit
 from numpy.typing import NDArray
 
-from gpom_core.kernels import Kind, cross_into, gram, gram_into, prior_variance_into
+from gpom_core.kernels import cross_into, gram, gram_into, prior_variance_into
+from gpom_core.shapes import Kind
 from gpom_core.special import erf, exp_neg
 
 SHAPES = 150

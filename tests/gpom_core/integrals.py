@@ -9,7 +9,7 @@ import mpmath as mp
 import numpy as np
 from numpy.typing import NDArray
 
-from gpom_core.kernels import Kind
+from gpom_core.shapes import Kind
 
 DIGITS = 30
 Shape = tuple[Kind, NDArray[np.float64]]

@@ -9,9 +9,10 @@ from gpom_core.clusters import new_clusters
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.evidence import Evidence, UpdateReport
-from gpom_core.kernels import Kind, gram
+from gpom_core.kernels import gram
 from gpom_core.rows import BOX, NONE, POINT, new_rows
 from gpom_core.scan import Pose2D
+from gpom_core.shapes import Kind
 from gpom_core.sight import new_sight
 from gpom_core.tiles import new_tiles
 from tests.gpom_core.synthetic import assert_consistent, evidence_by_key, look, scan_of, tour

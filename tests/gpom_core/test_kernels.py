@@ -5,7 +5,8 @@ import pytest
 from numpy.typing import NDArray
 
 from gpom_core import kernels
-from gpom_core.kernels import Kind, cross, gram, prior_variance_of
+from gpom_core.kernels import cross, gram, prior_variance_of
+from gpom_core.shapes import Kind
 from tests.gpom_core.integrals import simpson, to_30_digits
 
 LENGTHS = [0.0, 1e-9, 1e-3, 0.3, 0.46, 1.0, 3.1, 7.7, 20.0]

@@ -12,13 +12,14 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 from gpom_core.errors import ConfigurationError
 from gpom_core.expert import Hyperparameters, TrainingError, train
 from gpom_core.kernel_gradients import gram_with_slope
-from gpom_core.kernels import Kind, gram
+from gpom_core.kernels import gram
 from gpom_core.learning import (
     LearningRule,
     learn,
     log_likelihood_with_gradient,
 )
 from gpom_core.observations import Observations
+from gpom_core.shapes import Kind
 
 NAMES = ("length_scale_m", "signal_std", "hit_noise_scale", "free_noise_scale")
 SHARED = Hyperparameters(0.6, 1.0)

@@ -11,7 +11,6 @@ from gpom_core.beam_calibration import calibrated, leave_one_beam_out
 from gpom_core.clustering import LineTracking, OneCluster
 from gpom_core.committee import Fusion, fuse
 from gpom_core.expert import Hyperparameters, train
-from gpom_core.kernels import Kind
 from gpom_core.mixture import (
     Cluster,
     Mixture,
@@ -22,6 +21,7 @@ from gpom_core.mixture import (
     predict,
 )
 from gpom_core.scan import Scan
+from gpom_core.shapes import Kind
 from tests.gpom_core.test_clustering import corner
 
 SETTINGS = {"length_scale_m": 0.8, "hit_noise_std": 0.1, "free_noise_std": 0.2}

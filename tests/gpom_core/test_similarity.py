@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from gpom_core.kernels import Kind, gram
+from gpom_core.kernels import gram
+from gpom_core.shapes import Kind
 from gpom_core.similarity import NEIGHBOURS, most_similar
 
 SCALE_M = 0.2

@@ -7,11 +7,11 @@ from gpom_core.committee import OF_HITS, Fusion, fuse
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidQueryError
 from gpom_core.expert import Hyperparameters, train
-from gpom_core.kernels import Kind
 from gpom_core.link import Link
 from gpom_core.mapper import LENGTH_SCALE_RANGE, Mapper
 from gpom_core.member import member_of
 from gpom_core.observations import Observations
+from gpom_core.shapes import Kind
 from gpom_core.snapshot import Prediction, Snapshot, grid_shape
 from tests.gpom_core.synthetic import look, posterior, tour, weighed
 

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from gpom_core.kernels import Kind, cross, gram, prior_variance_of
+from gpom_core.kernels import cross, gram, prior_variance_of
+from gpom_core.shapes import Kind
 
 Shapes = tuple[NDArray[np.uint8], NDArray[np.float64]]
 
