@@ -36,10 +36,15 @@ _FLAGS = (
     "--remote-debugging-port=0",
 )
 _START_S = 40.0
+_LEFT = ("navigated or closed", "context was destroyed", "Cannot find context")  # its own words
 
 
 class PageError(AssertionError):
     """Something that JavaScript raised."""
+
+
+class PageLeftError(PageError):
+    """The page was left for another while it was asked."""
 
 
 class Chromium(AbstractContextManager):
@@ -82,7 +87,9 @@ class Chromium(AbstractContextManager):
             message = json.loads(self._socket.recv(timeout=60))
             if message.get("id") == number:
                 if "error" in message:
-                    raise PageError(f"{method}: {message['error']['message']}")
+                    what = message["error"]["message"]
+                    kind = PageLeftError if any(sign in what for sign in _LEFT) else PageError
+                    raise kind(f"{method}: {what}")
                 return message["result"]
             self._note(message)
 
@@ -107,11 +114,15 @@ class Chromium(AbstractContextManager):
         end_s = time.monotonic() + timeout_s
         # Of an element only an empty object would arrive.
         look = f"((it) => (it instanceof Node ? true : it))({condition})"
-        while not (value := self.evaluate(look)):
+        while True:
+            try:
+                if value := self.evaluate(look):
+                    return value
+            except PageLeftError:
+                pass  # it is true of the page that comes, or never
             if time.monotonic() > end_s:
                 raise PageError(f"did not come true in {timeout_s:g} s: {condition}")
             time.sleep(0.03)
-        return value
 
     def size(self, width: int, height: int, *, scale: float = 1.0, phone: bool = False) -> None:
         """Set the size of the window, in CSS pixels."""
