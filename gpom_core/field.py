@@ -4,11 +4,12 @@ Filling a tile costs as much as some hundred exact answers, and the map changes 
 So the first points in a tile are answered exactly, and it is filled when they would have paid for
 it: what is asked costs at most twice the cheaper of the two ways.
 
-
-A tile of the field depends on the experts that reach it and on nothing else. Versions of the map
-share the sectors that did not change, and with them the tiles; of a sector that changed only the
-tiles in reach of the changed experts are forgotten. Everything here is replaced as a whole, never
-changed in place, so threads need no lock: at worst two of them fill the same tile.
+What a tile holds depends on the experts that reach it and on nothing else; how finely, also on what
+an error meant for probabilities when it was filled. A new calibration keeps it: links of one map
+differ little, and sums do not depend on them. Versions of the map share the sectors that did not
+change, and with them the tiles; of a sector that changed only the tiles in reach of the changed
+experts are forgotten. Everything here is replaced as a whole, never changed in place, so threads
+need no lock: at worst two of them fill the same tile.
 """
 
 from __future__ import annotations
@@ -197,9 +198,10 @@ class Field:
                 break
             too_many -= size
             gone.setdefault(slot, []).append(tile)
+        left: dict[int, tuple[Pages, NDArray[np.int64]]] = {}
         for slot, tiles in gone.items():
             sector = self._sectors[slot]
             pages = sector.pages[self._rule].without(np.array(tiles))
             sector.pages[self._rule] = pages
-            view = view.replaced({slot: (pages, sector.used)})
-        self._view = view
+            left[slot] = pages, sector.used
+        self._view = view.replaced(left)

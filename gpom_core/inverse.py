@@ -131,7 +131,7 @@ def _pack(a: _Floats, y: _Floats, x: _Floats, packed: _Floats) -> None:
         for j in range(i + 1, end):
             value = -a[i, j]
             packed[at + j - i] = value
-            mine += value * y[j]
+            mine += value * seen[j]
             sums[j] += value * y[i]
         total, again = zero, spread(y[i])
         for chunk in range(block + 1, whole):
@@ -142,7 +142,7 @@ def _pack(a: _Floats, y: _Floats, x: _Floats, packed: _Floats) -> None:
         for j in range(max(whole * LANES, end), n):
             value = -a[i, j]
             packed[at + j - i] = value
-            mine += value * y[j]
+            mine += value * seen[j]  # not y: while it is read here it is not freed
             sums[j] += value * y[i]
         store(kept.ctypes.data, 0, total)
         for p in range(LANES):

@@ -1,7 +1,7 @@
 """The committee's sums between the nodes of a lattice: filling one tile of it, and reading it.
 
-Contributions of experts add up, so their sums, precision and information, are functions of place
-that can be interpolated. Each tile has as many nodes as its evidence needs.
+Contributions of experts add up, so their sums are functions of place that can be interpolated. Each
+tile has as many nodes as its evidence needs.
 """
 
 from __future__ import annotations

@@ -286,19 +286,20 @@ class Mapper:
             for job in jobs:
                 self.fail(job)
             raise
-        snapshot = self._swapped([outcome for outcome in outcomes if isinstance(outcome, Member)])
-        if self._uncalibrated > 0:
-            calibration = self._calibration_of(snapshot)
-            snapshot = snapshot.with_link(calibration.run())
-            self._settle(calibration)
-        self._snapshot = snapshot
+        before = self._snapshot.version
+        self._snapshot = self._swapped([one for one in outcomes if isinstance(one, Member)])
         errors = [outcome for outcome in outcomes if isinstance(outcome, TrainingError)]
         for job, outcome in zip(jobs, outcomes, strict=True):
             if isinstance(outcome, TrainingError):
                 self.fail(job)
+        if self._uncalibrated > 0:
+            calibration = self._calibration_of(self._snapshot)
+            calibrated = self._snapshot.with_link(calibration.run())
+            self._snapshot = replace(calibrated, version=max(calibrated.version, before + 1))
+            self._settle(calibration)
         if errors:
             raise errors[0]
-        return snapshot
+        return self._snapshot
 
     def take_calibration(self, *, even_if_little_is_new: bool = False) -> CalibrationJob | None:
         """The calibration to make, if much is new since the last; else None.

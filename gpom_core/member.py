@@ -53,6 +53,7 @@ NO_PART = np.repeat([0.0, np.inf], [AREA, _PART - AREA])
 # distant values count: on a real log this moves no probability by 4e-4, while 4 moved some by 8e-3.
 CUTOFF_SCALES = 4.75
 _LINE_SHARE = 0.3989422804014327  # 1 / sqrt(2 pi)
+_LEAST_NOISE = 1e-12  # share of the signal's variance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,9 +130,10 @@ def train_member(
 
     Raises:
         TrainingError: there are no observations, or the covariance is not positive definite.
-        ValueError: the observations are no shapes.
+        ValueError: the observations are no shapes, or not in the plane.
     """
     refuse_empty(observations)
+    _refuse_unreadable(observations)
     if not has_its_noise:
         observations = noisy(observations, hyperparameters)
     o = observations
@@ -150,11 +152,24 @@ def train_member(
 def member_of(cluster_id: int, revision: int, expert: Expert, line: NDArray[np.float64]) -> Member:
     """A trained expert with its index; its weights and precision are copied beside it."""
     o, h = expert.observations, expert.hyperparameters
+    _refuse_unreadable(o)
     block = _index(o.kinds, o.geometry, o.noise_variance, h.length_scale_m, h.signal_std)
     weights, packed = _inside(block)
     weights[:], packed[:] = expert.weights, expert.packed
     inside = replace(expert, weights=weights, packed=packed)
     return Member(cluster_id, revision, inside, line, block)
+
+
+def _refuse_unreadable(observations: Observations) -> None:
+    """Queries read these arrays by their addresses, and look at nothing else."""
+    kinds, geometry = observations.kinds, observations.geometry
+    if geometry.shape[2] != 2 or geometry.dtype != np.float64 or kinds.dtype != np.uint8:
+        raise ValueError(
+            f"geometry is {geometry.dtype} {geometry.shape} and kinds are {kinds.dtype}; members "
+            "of a committee have float64 (n, 2, 2) and uint8"
+        )
+    if not (geometry.flags.c_contiguous and kinds.flags.c_contiguous):
+        raise ValueError("an expert's arrays are read by address: they must be contiguous")
 
 
 class _Thread(local):
@@ -252,7 +267,9 @@ def _index(
     block[COUNTS] = at
     for i in range(n):
         share = _share(kinds[i], geometry, i, sides.factor[i], length_scale_m)
-        numbers[at + i] = share * signal_std * signal_std / noise_variance[i]
+        # Nothing finite is surer than this, and infinity times nothing is no number.
+        noise = max(noise_variance[i], _LEAST_NOISE * signal_std * signal_std)
+        numbers[at + i] = share * signal_std * signal_std / noise
     at += n
     block[at:size] = sectors
     block[WEIGHTS], block[PRECISION] = size, size + n

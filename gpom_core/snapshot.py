@@ -182,13 +182,14 @@ class Snapshot:
         """The field that `method="field"` reads, None while there is no evidence."""
         if self.covered is None:
             return None
-        if fusion not in self._fields:
-            self._fields[fusion] = Field(
+        fields = self._fields
+        if fusion not in fields:
+            fields[fusion] = Field(
                 self.sectors, self.covered, fusion,
                 negligible=NEGLIGIBLE, prior_variance=self.prior_variance,
                 weights=self.link.weights,
             )  # fmt: skip
-        return self._fields[fusion]
+        return fields[fusion]
 
     def sums(
         self,

@@ -65,13 +65,19 @@ Points = Annotated[
 ]
 
 
+ABOUT_FUSION = (
+    "how experts are merged: bcm, for which probabilities are calibrated; rbcm, surer than it "
+    "should be; poe, as the paper prints it, to which places are certain where nobody has looked"
+)
+
+
 class PointsRequest(BaseModel):
     """A question about points."""
 
     model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
     points: Points
-    fusion: Fusion = Field("bcm", description="how experts are merged")
+    fusion: Fusion = Field("bcm", description=ABOUT_FUSION)
     method: Method = Field(
         "exact",
         description="field interpolates where many points are asked for: a hundredth of the time, "

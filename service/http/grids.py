@@ -11,7 +11,7 @@ from gpom_core.snapshot import Snapshot, grid_shape
 from service import nav2, piecewise, render
 from service.errors import PayloadTooLargeError
 from service.http.context import VERSION_HEADER, Service
-from service.points import NPY, Fusion, Method, write_npy
+from service.points import ABOUT_FUSION, NPY, Fusion, Method, write_npy
 from service.raster_store import Raster
 
 router = APIRouter(tags=["raster"])
@@ -52,7 +52,7 @@ async def grid(  # noqa: PLR0913, PLR0917 - every parameter of the URL is an arg
     mode: Annotated[
         nav2.Mode, Query(description="of nav2: how map_server is to read occupancy")
     ] = "trinary",
-    fusion: Annotated[Fusion, Query(description="how experts are merged")] = "bcm",
+    fusion: Annotated[Fusion, Query(description=ABOUT_FUSION)] = "bcm",
     method: Annotated[
         Method, Query(description="field: interpolated where much is asked for; or exact")
     ] = "field",

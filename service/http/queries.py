@@ -10,6 +10,7 @@ from pydantic import FiniteFloat
 from service.errors import UnsupportedMediaError
 from service.http.context import VERSION_HEADER, Service, agree, media_type
 from service.points import (
+    ABOUT_FUSION,
     JSON,
     NPY,
     Fusion,
@@ -60,7 +61,7 @@ _BODY = {
 FusionQuery = Annotated[
     Fusion | None,
     Query(
-        description="how experts are merged; bcm unless it says otherwise",
+        description=f"{ABOUT_FUSION}; bcm unless it says otherwise",
         examples=["bcm"],
     ),
 ]

@@ -12,7 +12,9 @@ from gpom_core.clusters import length_m
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
 from gpom_core.expert import TrainingError
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper, TrainingJob
+from gpom_core.recalibration import CalibrationJob
 from gpom_core.scan import Pose2D, Scan
 from gpom_core.snapshot import Prediction
 from tests.gpom_core.synthetic import ROOM, assert_consistent, look, moved, scan_of, tour
@@ -227,6 +229,32 @@ def test_an_expert_that_cannot_be_trained_holds_up_no_other(
     assert mapper.dirty_ids() == {broken}
     assert len(mapper.snapshot().members) == mapper.expert_count - 1
     assert broken in mapper.train().members
+
+
+def test_a_calibration_that_fails_loses_no_expert(monkeypatch: pytest.MonkeyPatch) -> None:
+    mapper = mapper_of(*tour(3), max_observations=2000)
+    broken = min(mapper.dirty_ids())
+
+    def fail(_: CalibrationJob) -> Link:
+        raise TrainingError("cannot be calibrated")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(TrainingJob, "run", failing(broken))
+        patch.setattr(CalibrationJob, "run", fail)
+        with pytest.raises(TrainingError, match="cannot be calibrated"):
+            mapper.train()
+    before = mapper.snapshot()
+    assert len(before.members) == mapper.expert_count - 1
+    assert mapper.dirty_ids() == {broken}
+    assert mapper.train().link != before.link
+
+
+def test_a_calibration_alone_is_another_version() -> None:
+    mapper = mapper_of(*tour(3), max_observations=2000)
+    before = mapper.swap([job.run() for job in mapper.take_jobs(ALL)])
+    later = mapper.train()
+    assert later.link != before.link
+    assert later.version == before.version + 1
 
 
 class BrokenExecutor(Executor):

@@ -9,7 +9,7 @@ from gpom_core.errors import InvalidQueryError
 from gpom_core.expert import Hyperparameters, train
 from gpom_core.link import Link
 from gpom_core.mapper import LENGTH_SCALE_RANGE, Mapper
-from gpom_core.member import member_of
+from gpom_core.member import member_of, train_member
 from gpom_core.observations import Observations
 from gpom_core.shapes import Kind
 from gpom_core.snapshot import Prediction, Snapshot, grid_shape
@@ -269,6 +269,29 @@ def test_the_counts_of_a_place_are_those_of_the_evidence_at_it(order: tuple[int,
     assert hits == pytest.approx(expected, rel=1e-6, abs=1e-9)
     assert passes[4:] == pytest.approx([weight[2], 0.5 * weight[2]], rel=1e-6)
     assert passes[3] == pytest.approx(0.0, abs=1e-5)
+
+
+def test_evidence_without_noise_is_counted_as_a_number() -> None:
+    """However little noise an expert is given, what it says is finite, and so is what it counts."""
+    geometry = np.array([[[0.0, 0.0]] * 2, [[0.3, 0.0], [0.4, 0.1]]])
+    kinds = np.array([Kind.POINT, Kind.BOX], np.uint8)
+    seen = Observations(kinds, geometry, np.array([1.0, -1.0]), np.full(2, 1e-320), np.ones(2))
+    member = train_member(0, 1, seen, Hyperparameters(0.2, 1.0), geometry[0])
+    answer = Snapshot().swapped([member]).query([[0.0, 0.0], [0.35, 0.05], [9.0, 9.0]])
+    assert np.isfinite(answer.occupancy).all()
+    assert answer.occupancy[0] > 0.9
+
+
+@pytest.mark.parametrize(
+    "geometry",
+    [np.zeros((4, 2, 3)), np.zeros((4, 2, 4))[:, :, ::2], np.zeros((4, 2, 2), np.float32)],
+    ids=["in space", "with gaps", "of half the bytes"],
+)
+def test_evidence_that_queries_could_not_read_is_refused(geometry: np.ndarray) -> None:
+    kinds = np.full(4, Kind.POINT, np.uint8)
+    seen = Observations(kinds, geometry, np.ones(4), np.ones(4), np.ones(4))
+    with pytest.raises(ValueError, match=r"contiguous|uint8"):
+        train_member(0, 1, seen, Hyperparameters(0.2, 1.0), np.zeros((2, 2)))
 
 
 def test_the_counts_of_a_whole_beam_are_those_along_it() -> None:
