@@ -287,16 +287,19 @@ class Mapper:
                 self.fail(job)
             raise
         before = self._snapshot.version
-        self._snapshot = self._swapped([one for one in outcomes if isinstance(one, Member)])
+        snapshot = self._swapped([one for one in outcomes if isinstance(one, Member)])
         errors = [outcome for outcome in outcomes if isinstance(outcome, TrainingError)]
         for job, outcome in zip(jobs, outcomes, strict=True):
             if isinstance(outcome, TrainingError):
                 self.fail(job)
-        if self._uncalibrated > 0:
-            calibration = self._calibration_of(self._snapshot)
-            calibrated = self._snapshot.with_link(calibration.run())
-            self._snapshot = replace(calibrated, version=max(calibrated.version, before + 1))
-            self._settle(calibration)
+        try:
+            if self._uncalibrated > 0:
+                calibration = self._calibration_of(snapshot)
+                snapshot = snapshot.with_link(calibration.run())
+                snapshot = replace(snapshot, version=max(snapshot.version, before + 1))
+                self._settle(calibration)
+        finally:
+            self._snapshot = snapshot
         if errors:
             raise errors[0]
         return self._snapshot
