@@ -53,24 +53,18 @@ def reach_of(geometry: NDArray[np.float64], tile_m: float, cutoff_m: float) -> R
     """Index observations (n, 2, 2) by tiles of edge `tile_m` within `cutoff_m` of them."""
     n = len(geometry)
     first, last = np.empty((n, 2), np.int64), np.empty((n, 2), np.int64)
-    room = 0
     for i in range(n):
-        area = 1
         for axis in range(2):
             a, b = geometry[i, 0, axis], geometry[i, 1, axis]
             low, high = _tiles_of(min(a, b), max(a, b), cutoff_m, tile_m)
             first[i, axis], last[i, axis] = low, high
-            area *= high - low + 1
-        room += area
     if n == 0:
         return Reach(np.empty(0, np.int64), np.zeros(1, np.int64), np.empty(0, np.int32))
     x0, y0 = first[:, 0].min(), first[:, 1].min()
     columns, rows = last[:, 0].max() - x0 + 1, last[:, 1].max() - y0 + 1
     if columns * rows <= _COUNTED_TILES:
         return _counted(geometry, tile_m, cutoff_m, (first, last), (x0, y0, columns, rows))
-    place, members = np.empty(room, np.int64), np.empty(room, np.int32)
-    found = _pairs(geometry, tile_m, cutoff_m, (first, last), (x0, y0, rows), place, members)
-    place, members = place[:found], members[:found]
+    place, members = _pairs(geometry, tile_m, cutoff_m, (first, last), (x0, y0, columns, rows))
     order = np.argsort(place, kind="mergesort")
     return _grouped(place[order], members[order], x0, y0, rows)
 
@@ -81,35 +75,21 @@ def _pairs(
     tile: float,
     cutoff: float,
     tiles: tuple[NDArray[np.int64], NDArray[np.int64]],
-    window: tuple[int, int, int],
-    place: NDArray[np.int64],
-    members: NDArray[np.int32],
-) -> int:
-    """Write where the bounding box of a shape is near: place in the window, shape; how many.
-
-    Args:
-        tiles: (n, 2) first and last that each shape may reach.
-        window: first tile along x and y, and how many there are along y.
-    """
-    (first, last), (x0, y0, rows) = tiles, window
-    across = np.empty(rows)
-    found = 0
+    window: tuple[int, int, int, int],
+) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+    """Place in the window of every tile that a shape reaches, and the number of the shape."""
+    first, last = tiles
+    strip_place, length = _strips(geometry, tile, cutoff, tiles, window)
+    found = length.sum()
+    place, members = np.empty(found, np.int64), np.empty(found, np.int32)
+    pair, strip = 0, 0
     for i in range(len(geometry)):
-        g = geometry[i]
-        low_x, high_x = min(g[0, 0], g[1, 0]), max(g[0, 0], g[1, 0])
-        low_y, high_y = min(g[0, 1], g[1, 1]), max(g[0, 1], g[1, 1])
-        begin, reached = first[i, 1], last[i, 1] - first[i, 1] + 1
-        for r in range(reached):
-            dy = max((begin + r) * tile - high_y, low_y - (begin + r + 1) * tile, 0.0)
-            across[r] = dy * dy
-        for ix in range(first[i, 0], last[i, 0] + 1):
-            dx = max(ix * tile - high_x, low_x - (ix + 1) * tile, 0.0)
-            corner = (ix - x0) * rows + begin - y0
-            for r in range(reached):
-                place[found] = corner + r  # the next takes its room if this is not near
-                members[found] = i
-                found += dx * dx + across[r] < cutoff * cutoff
-    return found
+        for _ in range(first[i, 0], last[i, 0] + 1):
+            for step in range(length[strip]):
+                place[pair], members[pair] = strip_place[strip] + step, i
+                pair += 1
+            strip += 1
+    return place, members
 
 
 @compiled
