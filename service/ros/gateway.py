@@ -1,6 +1,7 @@
 """What ROS 2 robots send, from the zenoh session of the service to its intake."""
 
 import logging
+import math
 import queue
 import threading
 from collections import Counter
@@ -35,8 +36,11 @@ _T = TypeVar("_T")
 
 _TICK_S = 0.05
 _REPORT_S = 0.25
+_CACHES = "@adv/**"  # what zenoh.ext appends to the key of a publisher that keeps samples
 _STATIC_HISTORY = 100  # broadcasters of one robot, each with its last message
 _ASK_S = 5.0
+_AGAIN_S = 1.0  # caches are asked again after so long; each time in vain doubles it
+_AGAIN_MAX_S = 60.0
 _UNHEARD_MAX = 100  # topics that are warned of
 
 
@@ -68,6 +72,7 @@ class RosGateway:
         self._queue: queue.Queue[RosMessage] = queue.Queue(settings.queue_messages_max)
         self._closed = threading.Event()
         self._held: list[Any] = []
+        self._caches: list[tuple[str, Callable[[zenoh.Sample], None]]] = []
         self._worker: Worker | None = None
         self._tokens: Counter[str] = Counter()
         self._unheard: set[str] = set()
@@ -88,11 +93,14 @@ class RosGateway:
             deliver=sink.on_scan,
             clock=self._clock,
         )
-        self._worker = Worker("ros", _Loop(self._queue, self._closed, intake, sink, self._clock))
-        self._worker.start()
+        loop = _Loop(
+            self._queue, self._closed, intake, sink, lambda: self._ask_again(session), self._clock
+        )
+        self._worker = Worker("ros", loop)
         for transport in self._settings.transports:
             self._subscribe(session, transport)
             self._watch(session, transport, sink)
+        self._worker.start()
 
     def detach(self) -> None:
         """Stop to deliver; may be called twice."""
@@ -122,6 +130,7 @@ class RosGateway:
                     self._ask_older_bridges(session, pattern, callback)
                 if kind == "tf_static":
                     # Who comes late gets them from the publishers' caches only.
+                    self._caches.append((f"{key}/{_CACHES}", callback))
                     history = zenoh.ext.HistoryConfig(
                         detect_late_publishers=True, max_samples=_STATIC_HISTORY
                     )
@@ -140,25 +149,28 @@ class RosGateway:
         hear: Callable[[zenoh.Sample], None],
     ) -> None:
         """Ask bridges from before the autumn of 2025 for what they keep, as soon as they appear."""
-
-        def on_reply(reply: zenoh.Reply) -> None:
-            if reply.ok is not None:
-                hear(reply.ok)
+        self._caches += [(key, hear) for key in old_cache_keys("*", pattern.key)]
 
         def on_token(sample: zenoh.Sample) -> None:
             topic = topic_of_presence("bridge", str(sample.key_expr))
             if sample.kind == zenoh.SampleKind.PUT and pattern.match(topic) is not None:
                 for key in old_cache_keys("*", topic):
-                    session.get(
-                        key,
-                        _caught(on_reply),
-                        target=zenoh.QueryTarget.ALL,
-                        consolidation=zenoh.ConsolidationMode.NONE,
-                        accept_replies=zenoh.ReplyKeyExpr.ANY,
-                        timeout=_ASK_S,
-                    )
+                    _ask(session, key, hear)
 
         self._watch_tokens(session, "bridge", cdr.TF_MESSAGE, on_token)
+
+    def _ask_again(self, session: zenoh.Session) -> None:
+        """Ask all caches for fixed transforms.
+
+        A question put while routers still learn of each other may find no cache, nor does that of
+        a subscriber in zenoh.ext get repeated: the robot would be lost until its node restarts.
+        """
+        for key, hear in self._caches:
+            try:
+                _ask(session, key, hear)
+            except zenoh.ZError as error:
+                logger.debug("caches are not asked: %s", error)
+                return
 
     def _receive(
         self, kind: Kind, transport: Transport, pattern: TopicPattern
@@ -226,13 +238,18 @@ class _Loop:
         closed: threading.Event,
         intake: Intake,
         sink: SourceSink,
+        ask: Callable[[], None],
         clock: Clock,
     ) -> None:
         self._messages = messages
         self._closed = closed
         self._intake = intake
         self._sink = sink
+        self._ask = ask
         self._clock = clock
+        self._unconnected = 0
+        self._again_s = _AGAIN_S
+        self._asked_s = -math.inf
         self._told: dict[str, IntakeStatus] = {}
         self._strangers = 0
         self._tick_s = self._report_s = 0.0
@@ -251,6 +268,7 @@ class _Loop:
         if now_s >= self._report_s:
             self._report_s = now_s + _REPORT_S
             self._tell()
+            self._mend(now_s)
         return not self._closed.is_set()
 
     def _tell(self) -> None:
@@ -265,6 +283,32 @@ class _Loop:
         )
         if strangers:
             self._sink.on_refused("too_many_robots", strangers)
+
+    def _mend(self, now_s: float) -> None:
+        """Ask for fixed transforms while scans lack any: ever more seldom, as it may be in vain."""
+        unconnected = self._intake.unconnected()
+        if unconnected == self._unconnected:
+            self._again_s = max(_AGAIN_S, self._again_s / 2)
+        elif now_s >= self._asked_s + self._again_s:
+            self._ask()
+            self._asked_s = now_s
+            self._again_s = min(2 * self._again_s, _AGAIN_MAX_S)
+        self._unconnected = unconnected
+
+
+def _ask(session: zenoh.Session, key: str, hear: Callable[[zenoh.Sample], None]) -> None:
+    def on_reply(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            hear(reply.ok)
+
+    session.get(
+        key,
+        _caught(on_reply),
+        target=zenoh.QueryTarget.ALL,
+        consolidation=zenoh.ConsolidationMode.NONE,
+        accept_replies=zenoh.ReplyKeyExpr.ANY,
+        timeout=_ASK_S,
+    )
 
 
 def _caught(callback: Callable[[_T], None]) -> Callable[[_T], None]:

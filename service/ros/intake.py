@@ -121,6 +121,10 @@ class Intake:
         for name, state in self._robots.items():
             self._pass_on(name, state)
 
+    def unconnected(self) -> int:
+        """Count attempts to place scans in vain, as nothing connects their frame with the map."""
+        return sum(state.tally.unconnected for state in self._robots.values())
+
     def report(self) -> dict[str, IntakeStatus]:
         """Tell how it goes with every robot that sends scans."""
         unix_s = self._clock.unix_s()

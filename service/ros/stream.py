@@ -44,6 +44,7 @@ class Tally:
         delayed: had to wait for a transform, and got it.
         uncorrected: motion within the sweep is left in, as the transform at its end did not come.
         dropped: by reason.
+        unconnected: attempts to place scans that waited long enough for frames to be connected.
         troubles: what is wrong now.
     """
 
@@ -51,6 +52,7 @@ class Tally:
     delayed: int = 0
     uncorrected: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    unconnected: int = 0
     troubles: Troubles = field(default_factory=Troubles)
 
     def drop(self, reason: str, about: str, problem: str, unix_s: float) -> None:
@@ -144,13 +146,15 @@ class SensorStream:
             try:
                 scan = self._place(head, covariance(), expired)
             except UnknownPoseError as error:
+                patient = now_s - head.arrived_s <= _PATIENCE_S
+                self._tally.unconnected += error.reason == "unconnected" and not patient
                 if error.reason == "too_old":
                     self._drop("late", str(error), unix_s)
                 elif expired:
                     self._drop("no_transform", str(error), unix_s)
                 else:
                     self._held_up = len(self._waiting)
-                    if now_s - head.arrived_s > _PATIENCE_S:
+                    if not patient:
                         self._tally.troubles.note(head.sweep.frame, str(error), unix_s)
                     return
             except InvalidScanError as error:

@@ -92,12 +92,15 @@ class FakeMap:
             expected = seq + 1 if scan.boot == boot else 1
             new = scan.boot >= boot and scan.seq == expected
             if new:
+                self._keep(sample)  # before it is acknowledged: who has the ack may look
                 self.stored[key] = (scan.boot, scan.seq)
             if self.acknowledges:
                 cursor = struct.pack("<QQ", *self.stored.get(key, (0, 0)))
                 self.session.put(key.replace("/cursor/", "/ack/"), cursor)
-            if not new:
-                return
+        else:
+            self._keep(sample)
+
+    def _keep(self, sample: zenoh.Sample) -> None:
         with self._arrived:
             self.samples.append(sample)
             self._arrived.notify_all()

@@ -54,10 +54,13 @@ class Talker:
             token.undeclare()
         self.tokens = []
 
+    def key(self, topic: str, kind: str) -> str:
+        if self.transport == "bridge":
+            return topic
+        return f"{self.domain}/{topic}/{_dds(kind)}/{self._hash(kind)}"
+
     def _declare(self, topic: str, kind: str):
-        key = topic
-        if self.transport == "rmw_zenoh":
-            key = f"{self.domain}/{topic}/{_dds(kind)}/{self._hash(kind)}"
+        key = self.key(topic, kind)
         if not topic.endswith("tf_static"):
             return self.session.declare_publisher(key)
         return zenoh.ext.declare_advanced_publisher(
