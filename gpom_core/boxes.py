@@ -207,27 +207,41 @@ def _pair_values(longer: _Integers, shorter: _Integers, apart: _Floats, widths: 
     The longer is integrated in closed form, the shorter by Gauss-Legendre.
     """
     first, node, weight = _rules(widths)
+    order, begin = _grouped(longer, len(widths))
     room = 0
-    for t in range(1, len(apart)):
+    for t in order:
         room += first[shorter[t] + 1] - first[shorter[t]]
     s, value, out = np.empty(room), np.empty(room), np.zeros(len(apart))
     for a in range(len(widths)):  # all pairs with one longer width in one pass
-        filled = 0
-        for t in range(1, len(apart)):
-            if longer[t] == a:
-                b = shorter[t]
-                start = apart[t] + 0.5 * (widths[a] - widths[b])
-                for q in range(first[b], first[b + 1]):
-                    s[filled] = start + widths[b] * node[q]
-                    filled += 1
+        pairs, filled = order[begin[a] : begin[a + 1]], 0
+        for t in pairs:
+            b = shorter[t]
+            start = apart[t] + 0.5 * (widths[a] - widths[b])
+            for q in range(first[b], first[b + 1]):
+                s[filled] = start + widths[b] * node[q]
+                filled += 1
         interval_averages(s[:filled], widths[a], value)
         filled = 0
-        for t in range(1, len(apart)):
-            if longer[t] == a:
-                for q in range(first[shorter[t]], first[shorter[t] + 1]):
-                    out[t] += weight[q] * value[filled]
-                    filled += 1
+        for t in pairs:
+            for q in range(first[shorter[t]], first[shorter[t] + 1]):
+                out[t] += weight[q] * value[filled]
+                filled += 1
     return out
+
+
+@compiled
+def _grouped(key: _Integers, keys: int) -> tuple[_Integers, _Integers]:
+    """Numbers 1, 2, ... of the elements but the first, sorted by key; where each key begins."""
+    begin = np.zeros(keys + 1, np.int64)
+    for t in range(1, len(key)):
+        begin[key[t] + 1] += 1
+    for k in range(keys):
+        begin[k + 1] += begin[k]
+    order, filled = np.empty(len(key) - 1, np.int64), begin[:-1].copy()
+    for t in range(1, len(key)):
+        order[filled[key[t]]] = t
+        filled[key[t]] += 1
+    return order, begin
 
 
 @compiled

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from threading import local
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ from gpom_core.shapes import refuse
 from gpom_core.sides import sides_of
 
 Bounds = tuple[float, float, float, float]
+_Index = TypeVar("_Index", int, NDArray[np.int64])
 
 TILE_M = 0.5  # of the index; smaller tiles cost memory, larger ones time (see ARCHITECTURE)
 SECTOR_SHIFT = 4
@@ -319,8 +321,8 @@ def _sectors_of(tiles: NDArray[np.int64]) -> NDArray[np.int64]:
     return found[:n].copy()
 
 
-def sector_key(x: NDArray[np.int64], y: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Keys (n,) of the sectors with indices x and y."""
+def sector_key(x: _Index, y: _Index) -> _Index:
+    """Key of the sector with indices x and y, or keys (n,) of several."""
     return ((x + TILE_OFFSET) << TILE_BITS) | (y + TILE_OFFSET)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
+from math import floor
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -227,7 +228,7 @@ class Snapshot:
         else:
             sums = self.sums(where, rule)
             take_logarithms(sums)
-        prior = prior_precision(rule, self.prior_variance, len(self.members))
+        prior = prior_precision(int(rule), self.prior_variance, len(self.members))
         mean, variance, occupancy = answers(
             sums, prior, self.prior_variance, np.array(self.link.weights)
         )
@@ -369,6 +370,11 @@ def _by_sector(points: NDArray[np.float64], area: Bounds | None) -> dict[int, ND
     """Numbers of the points in each sector; points outside the area are left out."""
     if area is None or len(points) == 0:
         return {}
+    if len(points) == 1:  # what planners ask all the time, without a sort
+        x, y = points[0].tolist()
+        if not (area[0] <= x <= area[2] and area[1] <= y <= area[3]):
+            return {}
+        return {sector_key(floor(x / SECTOR_M), floor(y / SECTOR_M)): np.zeros(1, np.int64)}
     near = np.flatnonzero(((points >= area[:2]) & (points <= area[2:])).all(axis=1))
     if len(near) == 0:
         return {}

@@ -20,13 +20,9 @@ class Bodies:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        message = (
-            f"the body is larger than the {self._bytes_max} bytes that are allowed: split the query"
-        )
-        refuse = respond(problem_of(PayloadTooLargeError(message)))
         stated = Headers(scope=scope).get("content-length", "")
         if stated.isdigit() and int(stated) > self._bytes_max:
-            await refuse(scope, receive, send)
+            await respond(problem_of(self._too_large()))(scope, receive, send)
             return
         size = 0
 
@@ -35,7 +31,7 @@ class Bodies:
             part = await receive()
             size += len(part.get("body", b""))
             if size > self._bytes_max:
-                raise PayloadTooLargeError(message)
+                raise self._too_large()
             return part
 
         async def unless_too_large(part: Message) -> None:
@@ -45,4 +41,9 @@ class Bodies:
 
         await self._app(scope, counted, unless_too_large)
         if size > self._bytes_max:
-            await refuse(scope, receive, send)
+            await respond(problem_of(self._too_large()))(scope, receive, send)
+
+    def _too_large(self) -> PayloadTooLargeError:
+        return PayloadTooLargeError(
+            f"the body is larger than the {self._bytes_max} bytes that are allowed: split the query"
+        )

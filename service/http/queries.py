@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import numpy as np
 from fastapi import APIRouter, Query, Request, Response
-from pydantic import FiniteFloat
+from fastapi.exceptions import RequestValidationError
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from service.errors import UnsupportedMediaError
 from service.http.context import VERSION_HEADER, Service, agree, media_type
@@ -58,17 +59,36 @@ _BODY = {
     }
 }
 
-FusionQuery = Annotated[
-    Fusion | None,
-    Query(
-        description=f"{ABOUT_FUSION}; bcm unless it says otherwise",
-        examples=["bcm"],
-    ),
-]
-MethodQuery = Annotated[
-    Method | None,
-    Query(description="exact, unless it says field: interpolated, cheaper for many points"),
-]
+_ABOUT_FUSION = f"{ABOUT_FUSION}; bcm unless it says otherwise"
+_ABOUT_METHOD = "exact, unless it says field: interpolated, cheaper for many points"
+
+FusionQuery = Annotated[Fusion | None, Query(description=_ABOUT_FUSION, examples=["bcm"])]
+MethodQuery = Annotated[Method | None, Query(description=_ABOUT_METHOD)]
+
+
+class _Point(BaseModel):
+    x: FiniteFloat = Field(description="m in the map frame", examples=[1.5])
+    y: FiniteFloat = Field(description="m in the map frame", examples=[-2.0])
+    fusion: Fusion = Field("bcm", description=_ABOUT_FUSION)
+    method: Method = Field("exact", description=_ABOUT_METHOD)
+
+
+def _parameters(model: type[BaseModel]) -> dict[str, Any]:
+    """Tell OpenAPI of parameters that the route reads by itself."""
+    schema = model.model_json_schema()
+    required = schema.get("required", ())
+    return {
+        "parameters": [
+            {
+                "name": name,
+                "in": "query",
+                "required": name in required,
+                "description": about.pop("description"),
+                "schema": about,
+            }
+            for name, about in schema["properties"].items()
+        ]
+    }
 
 
 @router.post("/v1/query", responses=_ANSWER, openapi_extra=_BODY, response_class=Response)
@@ -94,20 +114,21 @@ async def query_points(
     return _respond(content, answer_in, snapshot.version)
 
 
-@router.get("/v1/query", responses=_ANSWER, response_class=Response)
-async def query_point(
-    request: Request,
-    service: Service,
-    x: Annotated[FiniteFloat, Query(description="m in the map frame", examples=[1.5])],
-    y: Annotated[FiniteFloat, Query(description="m in the map frame", examples=[-2.0])],
-    fusion: FusionQuery = None,
-    method: MethodQuery = None,
-) -> Response:
+@router.get(
+    "/v1/query", responses=_ANSWER, openapi_extra=_parameters(_Point), response_class=Response
+)
+async def query_point(request: Request, service: Service) -> Response:
     """Ask about one point."""
+    # Read here and not by FastAPI, which takes longer for the parameters than the map does for the
+    # answer; and answered here and now, which is faster than a trip through the pool.
+    try:
+        asked = _Point.model_validate(dict(request.query_params))
+    except ValidationError as error:
+        where = [{**item, "loc": ("query", *item["loc"])} for item in error.errors()]
+        raise RequestValidationError(where) from error
     answer_in = agree(request, (JSON, NPY))
     snapshot = service.state.snapshot
-    # One point is answered here and now: faster than a trip through the pool.
-    prediction = snapshot.query(np.array([[x, y]]), fusion or "bcm", method or "exact")
+    prediction = snapshot.query(np.array([[asked.x, asked.y]]), asked.fusion, asked.method)
     return _respond(
         write_answer(prediction, snapshot.version, answer_in), answer_in, snapshot.version
     )
