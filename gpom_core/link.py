@@ -32,7 +32,9 @@ DEFAULT_WEIGHTS = (2.94, 0.42, 0.8, 1.19, 0.83, 1.79)
 
 _SHIFT = 0.2  # k
 _SPREAD = np.array([0.91, 1.04, 2.19, 1.66, 0.25, 0.07])  # of the terms on real maps
-_PULL = 10.0  # towards the default, of weights in units of `_SPREAD`; one observation weighs 1
+# Towards the default, of weights in units of `_SPREAD`; one observation weighs 1. How sure the mean
+# is of itself, the first, is what differs most from site to site.
+_PULL = np.array([1.0, 8.0, 8.0, 8.0, 8.0, 8.0])
 _MEANS, _LEFT = np.linspace(-1.2, 1.2, 25), np.geomspace(1e-3, 1.0, 13)
 _MUCH, _AT_ODDS = 5.0, 4.0  # log(1 + weight), of places where all agrees and where nothing does
 _ORDERED = 4  # first weights that must not be negative
@@ -167,7 +169,7 @@ def _likeliest(signed: _Floats, default: _Floats) -> _Floats:
         miss = 0.5 - 0.5 * np.tanh(0.5 * (signed @ at))  # how unlikely it held what happened
         slope = 2.0 * _PULL * (at - default) - miss @ signed
         curvature = (signed * (miss * (1.0 - miss))[:, None]).T @ signed
-        step = _lowest(curvature + 2.0 * _PULL * np.eye(len(at)), slope, at) - at
+        step = _lowest(curvature + 2.0 * np.diag(_PULL), slope, at) - at
         promised, share = float(slope @ step), 1.0
         while (there := _loss(signed, at + share * step, default)) > loss + 0.25 * share * promised:
             share *= 0.5
@@ -181,7 +183,7 @@ def _likeliest(signed: _Floats, default: _Floats) -> _Floats:
 
 def _loss(signed: _Floats, weights: _Floats, default: _Floats) -> float:
     pull = weights - default
-    return float(np.logaddexp(0.0, -(signed @ weights)).sum()) + _PULL * float(pull @ pull)
+    return float(np.logaddexp(0.0, -(signed @ weights)).sum() + _PULL @ pull**2)
 
 
 def _lowest(curvature: _Floats, slope: _Floats, at: _Floats) -> _Floats:
