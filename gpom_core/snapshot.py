@@ -334,16 +334,16 @@ def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:
     Raises:
         InvalidQueryError: as `Snapshot.grid`.
     """
-    if (
-        np.shape(bbox) != (4,)
-        or not np.isfinite(bbox).all()
-        or bbox[0] >= bbox[2]
-        or bbox[1] >= bbox[3]
-    ):
+    try:
+        box, cell_m = np.asarray(bbox, np.float64), float(resolution_m)
+    except (TypeError, ValueError, OverflowError) as error:
+        message = f"bbox {bbox!r} and resolution {resolution_m!r} are not numbers: {error}"
+        raise InvalidQueryError(message) from None
+    if box.shape != (4,) or not np.isfinite(box).all() or (box[:2] >= box[2:]).any():
         raise InvalidQueryError(
-            f"bbox {tuple(bbox)} must be xmin, ymin, xmax, ymax in metres with min < max"
+            f"bbox {bbox!r} must be xmin, ymin, xmax, ymax in metres with min < max"
         )
-    if not (np.isfinite(resolution_m) and resolution_m > 0.0):
+    if not (np.isfinite(cell_m) and cell_m > 0.0):
         raise InvalidQueryError(f"resolution {resolution_m} must be a positive number of metres")
     # A hair less than a cell is rounding, not another cell; far from the origin hairs are thicker.
     hair = min(1e-9 + 4.0 * float(np.spacing(np.abs(bbox).max())) / resolution_m, 0.1)

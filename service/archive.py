@@ -216,5 +216,6 @@ def catch_up(mapper: Mapper, journal: Journal, position: int) -> int:
         with suppress(InvalidScanError):  # it had no place on the map then either
             mapper.update(wire.decode(stored.payload, max_beams=UNLIMITED_BEAMS))
         count += 1
-    mapper.train()
+    if count:  # else the map is as it was saved, its calibration too
+        mapper.train()
     return count

@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from gpom_core.config import MapConfig
 from gpom_core.image import NAMES
 from service.errors import MapFileError
+from service.npy import read_header
 
 FORMAT = 1
 _MANIFEST = "manifest.json"
@@ -177,9 +178,10 @@ def _manifest(text: bytes, path: Path) -> Manifest:
 
 def _array(content: bytes, name: str, path: Path) -> NDArray[np.generic]:
     file = io.BytesIO(content)
-    if npy.read_magic(file) != (1, 0):
-        raise MapFileError(f"{path}: {name} is not of npy version 1.0")
-    shape, fortran, dtype = npy.read_array_header_1_0(file, max_header_size=1000)
+    try:
+        shape, fortran, dtype = read_header(file, bytes_max=1000)
+    except ValueError as error:
+        raise MapFileError(f"{path} is damaged or no map file: {name}: {error}") from error
     start = file.tell()
     # Not numpy's own reader: it takes memory for what the header says before it reads.
     if dtype.hasobject or fortran or prod(shape) * dtype.itemsize != len(content) - start:

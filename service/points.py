@@ -4,7 +4,6 @@ import io
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.lib import format as npy_format
 from numpy.typing import NDArray
 from pydantic import (
     BaseModel,
@@ -20,9 +19,12 @@ from gpom_core.errors import InvalidQueryError
 from gpom_core.snapshot import Prediction, Snapshot
 from service import piecewise
 from service.errors import PayloadTooLargeError, UnsupportedMediaError
+from service.npy import read_header
 
 JSON = "application/json"
 NPY = "application/x-npy"
+
+_HEADER_BYTES_MAX = 10_000
 
 Fusion = Literal["bcm", "poe", "rbcm"]
 Method = Literal["exact", "field"]
@@ -137,13 +139,7 @@ def read_npy(body: bytes) -> NDArray[np.float64]:
     """
     stream = io.BytesIO(body)
     try:
-        version = npy_format.read_magic(stream)
-        if version == (1, 0):
-            shape, fortran, dtype = npy_format.read_array_header_1_0(stream)
-        elif version == (2, 0):
-            shape, fortran, dtype = npy_format.read_array_header_2_0(stream)
-        else:
-            raise ValueError(f"npy format {version} is not understood")
+        shape, fortran, dtype = read_header(stream, _HEADER_BYTES_MAX)
     except ValueError as error:
         raise InvalidQueryError(f"the body is no npy file: {error}") from error
     if dtype.kind != "f" or dtype.itemsize != 8 or len(shape) != 2 or shape[1] != 2:

@@ -135,9 +135,9 @@ class ZenohSource:
     def _on_cursor(self, sink: SourceSink) -> Callable[[zenoh.Query], None]:
         def on_cursor(query: zenoh.Query) -> None:
             with query:
-                robot, _, sensor = self._chunks(query.key_expr)
-                if _WILD.isdisjoint(robot + sensor):  # one stream at a time
-                    cursor = sink.cursor(robot, sensor)
+                names = self._names(query.key_expr)
+                if names is not None:  # one stream at a time
+                    cursor = sink.cursor(*names)
                     query.reply(query.key_expr, b"" if cursor is None else _CURSOR.pack(*cursor))
 
         return on_cursor
@@ -146,17 +146,19 @@ class ZenohSource:
         def on_scan(sample: zenoh.Sample) -> None:
             if sample.kind != zenoh.SampleKind.PUT:
                 return
-            robot, _, sensor = self._chunks(sample.key_expr)
-            if robot != SERVICE_CHUNK:
-                sink.on_scan(robot, sensor, sample.payload.to_bytes())
+            names = self._names(sample.key_expr)
+            if names is None:
+                sink.on_refused("bad_key", 1)
+            else:
+                sink.on_scan(*names, sample.payload.to_bytes())
 
         return on_scan
 
     def _on_alive(self, sink: SourceSink) -> Callable[[zenoh.Sample], None]:
         def on_alive(sample: zenoh.Sample) -> None:
-            robot, _ = self._chunks(sample.key_expr)
-            if robot != SERVICE_CHUNK:
-                sink.on_presence(robot, sample.kind == zenoh.SampleKind.PUT)
+            names = self._names(sample.key_expr)
+            if names is not None:
+                sink.on_presence(names[0], sample.kind == zenoh.SampleKind.PUT)
 
         return on_alive
 
@@ -176,7 +178,7 @@ class ZenohSource:
                 sink.on_query(
                     RemoteQuery(
                         body=b"" if query.payload is None else query.payload.to_bytes(),
-                        media_type="" if query.encoding is None else str(query.encoding),
+                        media_type=_media_type(query.encoding),
                         fusion=query.parameters.get("fusion"),
                         reply=reply,
                         method=query.parameters.get("method"),
@@ -189,8 +191,21 @@ class ZenohSource:
 
         return on_query
 
-    def _chunks(self, key: zenoh.KeyExpr) -> list[str]:
-        return str(key).removeprefix(self._settings.prefix + "/").split("/")
+    def _names(self, key: zenoh.KeyExpr) -> tuple[str, str] | None:
+        """Give robot and sensor, "" if it is about all of it; None if the key names not just one.
+
+        A put or a question may have a wildcard in its key, and then reaches us, too.
+        """
+        text = str(key).removeprefix(self._settings.prefix + "/")
+        robot, _, rest = text.partition("/")
+        if not _WILD.isdisjoint(text) or robot == SERVICE_CHUNK:
+            return None
+        return robot, rest.partition("/")[2]
+
+
+def _media_type(encoding: zenoh.Encoding | None) -> str:
+    """Without parameters, in lower case: names of media types have none (RFC 9110, 8.3.1)."""
+    return "" if encoding is None else str(encoding).partition(";")[0].strip().lower()
 
 
 def _caught(callback: Callable[[_T], None]) -> Callable[[_T], None]:

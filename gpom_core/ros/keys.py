@@ -80,7 +80,7 @@ class TopicPattern:
             return None
         found: dict[str, str] = {}
         for chunk, name in zip(chunks, names, strict=True):
-            if chunk in _PLACES:
+            if chunk in _PLACES and _CHUNK.fullmatch(name):  # who puts to many is nobody
                 found[_PLACES[chunk]] = name
             elif chunk not in {"*", name}:
                 return None

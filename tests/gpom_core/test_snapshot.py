@@ -188,6 +188,10 @@ def test_an_unknown_fusion_rule_is_refused(snapshot: Snapshot) -> None:
         ((0.0, 0.0, 1.0, 1.0), np.nan),
         ((0.0, 0.0, 1e6, 1e6), 0.1),
         ((-1e308, 0.0, 1e308, 1.0), 1e-3),
+        (None, 0.1),
+        ("0,0,1,1", 0.1),
+        ((0.0, 0.0, 1.0, 1.0), "fine"),
+        ((0.0, 0.0, 1.0, 10**400), 0.1),
     ],
 )
 def test_a_raster_that_is_none_is_refused(

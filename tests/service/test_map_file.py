@@ -143,6 +143,14 @@ def test_a_header_that_claims_a_huge_array_takes_no_memory(path) -> None:
         read_map(path, LIMIT)
 
 
+@pytest.mark.parametrize("header", [b"{'descr':'<f8'  \n", b"{[]:1}", b"{'a':((("])
+def test_a_header_that_is_no_python_is_damage(path, header) -> None:
+    content = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+    rewrite(path, lambda contents: contents.update({"link.npy": content}))
+    with pytest.raises(MapFileError, match=r"damaged or no map file: link\.npy"):
+        read_map(path, LIMIT)
+
+
 def test_objects_are_never_unpickled(path) -> None:
     content = io.BytesIO()
     np.save(content, np.array([{"a": 1}], object), allow_pickle=True)

@@ -40,6 +40,25 @@ def test_hostile_npy_is_refused(body) -> None:
         read_npy(body)
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        b"{'descr':'<f8'  \n",
+        b"{[]:1}",
+        b"{b'descr':'<f8'}",
+        b"-" * 9000 + b"1",
+        b"{'a':(((",
+        b"\xff",
+    ],
+)
+@pytest.mark.parametrize("version", [1, 2, 3])
+def test_npy_headers_that_are_no_python_are_refused(version, header) -> None:
+    """What Python's parser says of them (TypeError, MemoryError, TokenError) is not for us."""
+    size = len(header).to_bytes(2 if version == 1 else 4, "little")
+    with pytest.raises(InvalidQueryError, match="no npy file"):
+        read_npy(b"\x93NUMPY" + bytes([version, 0]) + size + header)
+
+
 def test_npy_header_is_not_trusted() -> None:
     stream = io.BytesIO()
     header = {"descr": "<f8", "fortran_order": False, "shape": (10**12, 2)}

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from gpom_core.config import MapConfig
-from service.archive import Archive
+from service.archive import Archive, catch_up
 from service.clock import SystemClock
 from service.errors import JournalError, MapFileError, NotReadyError
 from service.map_service import MapService, Ports
@@ -92,6 +92,27 @@ def test_after_a_stop_the_map_is_exactly_what_it_was(house) -> None:
     assert service.state.scans_integrated == 20
     assert service.cursor("robot", "front") == Cursor(1, 20)
     assert service.cursor("robot", "rear") is None
+
+
+def test_what_is_exported_is_the_map_that_was_served(house) -> None:
+    """A calibration that is not due yet is not made for the export either."""
+    for i in range(1, 21):
+        place = 1.5 * np.cos(i / 3), 1.5 * np.sin(i / 3)
+        house.source.put("robot", "front", payload_at(*place, seq=i, reliable=True))
+
+    def caught_up() -> bool:
+        state = house.service.state
+        return state.scans_integrated == 20 and not state.dirty
+
+    house.until(caught_up)
+    house.service.stop()
+    before = occupancy(house.service)
+    archive = Archive(house.directory, house.settings.journal, MapConfig(), SystemClock())
+    archive.open()
+    mapper, position = archive.load()
+    assert catch_up(mapper, archive.journal, position) == 0
+    archive.close()
+    assert_same(mapper.snapshot().grid(*GRID).occupancy, before)
 
 
 def test_after_a_crash_the_journal_is_integrated_again(house) -> None:

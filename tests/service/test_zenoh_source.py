@@ -25,11 +25,15 @@ class Sink:
         self.scans = []
         self.presence = []
         self.queries = []
+        self.refused = []
 
     def on_scan(self, robot, sensor, payload) -> None:
         if payload == b"bomb":
             raise ZeroDivisionError
         self.scans.append((robot, sensor, payload))
+
+    def on_refused(self, reason, count) -> None:
+        self.refused.append((reason, count))
 
     def cursor(self, robot, sensor):
         return Cursor(2**63 + 7, 2**64 - 1) if sensor == "front" else None
@@ -66,6 +70,21 @@ def robot(source):
         yield session
 
 
+@pytest.mark.parametrize(
+    "key", [f"{PREFIX}/*/scan/front", f"{PREFIX}/a$*/scan/front", f"{PREFIX}/**", "**"]
+)
+def test_a_put_to_many_is_of_no_robot(key, robot, sink, eventually, caplog) -> None:
+    """Stored for a robot named `*`, it would be acknowledged to all of them."""
+    robot.put(key, b"for all")
+    robot.put(f"{PREFIX}/r2/scan/front", b"mine")
+    eventually(lambda: len(sink.scans) == 1)
+    assert sink.scans == [("r2", "front", b"mine")]
+    assert sink.refused == [("bad_key", 1)]
+    replies = [reply for reply in robot.get(key, timeout=5.0) if reply.ok is not None]
+    assert not [reply for reply in replies if "/cursor/" in str(reply.ok.key_expr)]
+    assert "failed" not in caplog.text
+
+
 def test_scans_arrive_with_robot_and_sensor(robot, sink, eventually) -> None:
     for payload in (b"\x00\x01", b"bomb", b"after the bomb"):
         robot.put(f"{PREFIX}/r2/scan/front", payload)
@@ -100,7 +119,7 @@ def _ask(session, body, **options):
     replies = session.get(
         f"{PREFIX}/_map/query{options.pop('parameters', '')}",
         payload=body,
-        encoding=JSON,
+        encoding=options.pop("encoding", JSON),
         consolidation=zenoh.ConsolidationMode.NONE,
         timeout=10.0,
         **options,
@@ -113,12 +132,14 @@ def test_queries_are_answered_refused_and_never_hang(robot, sink) -> None:
     (reply,) = _ask(robot, b"abc", parameters="?fusion=rbcm")
     assert reply.ok.payload.to_bytes() == b"cba"
     assert str(reply.ok.encoding) == JSON
+    (reply,) = _ask(robot, b"abc", encoding="Application/JSON; charset=utf-8")
+    assert str(reply.ok.encoding) == JSON
     (reply,) = _ask(robot, b"no")
     assert reply.err.payload.to_bytes() == b"on"
     (reply,) = _ask(robot, b"bomb")
     assert json.loads(reply.err.payload.to_bytes())["status"] == 500
     assert time.monotonic() - start_s < 9.0, "none waited for its timeout"
-    assert [query.fusion for query in sink.queries] == ["rbcm", None, None]
+    assert [query.fusion for query in sink.queries] == ["rbcm", None, None, None]
     assert sink.queries[0].media_type == JSON
 
 

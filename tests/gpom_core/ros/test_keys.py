@@ -92,6 +92,8 @@ def test_what_we_publish_is_what_ros_subscribes_to() -> None:
         ("scan", "scan", (None, None)),
         ("{robot}/scan", "a/b/scan", None),
         ("{robot}/scan", "r1/scan2", None),
+        ("{robot}/scan", "*/scan", None),
+        ("{robot}/{sensor}/scan", "r1/f$*/scan", None),
     ],
 )
 def test_patterns_tell_whose_topic_it_is(pattern, topic, expected) -> None:
