@@ -18,7 +18,7 @@ from service.http import (
     streams,
     tiles,
 )
-from service.http.bodies import Bodies
+from service.http.bodies import Bodies, Uploads
 from service.http.guard import Guard
 from service.http.head import Head
 from service.http.observe import Observe
@@ -48,7 +48,8 @@ def create_app(service: MapService) -> FastAPI:
     )
     app.state.service = service
     app.add_middleware(Head)
-    app.add_middleware(Bodies, bytes_max=settings.http.body_bytes_max)
+    app.state.uploads = Uploads()
+    app.add_middleware(Bodies, bytes_max=settings.http.body_bytes_max, uploads=app.state.uploads)
     app.add_middleware(Shares, http=settings.http)
     app.add_middleware(Observe, metrics=service.metrics)
     app.add_middleware(Guard, access=settings.access)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 import uvicorn
 
 from service.http.app import create_app
+from service.http.bodies import Uploads
 from service.map_service import MapService
 
 _GRACE_S = 2  # for answers under way when the end comes
@@ -17,8 +18,9 @@ class Server(uvicorn.Server):
 
     def __init__(self, service: MapService) -> None:
         http = service.settings.http
+        app = create_app(service)
         config = uvicorn.Config(
-            create_app(service),
+            app,
             lifespan="off",  # it would hold all answers back until the service has started
             log_config=None,
             access_log=False,
@@ -29,10 +31,12 @@ class Server(uvicorn.Server):
         )
         super().__init__(config)
         self._service = service
+        self._uploads: Uploads = app.state.uploads
 
     async def shutdown(self, sockets: Sequence[socket.socket] | None = None) -> None:
         """End what keeps connections open, then the connections."""
         self._service.hang_up()
+        self._uploads.end()
         await super().shutdown(None if sockets is None else list(sockets))
 
     def exit_soon(self) -> None:

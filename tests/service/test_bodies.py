@@ -2,16 +2,74 @@
 
 import asyncio
 import json
+import logging
+from collections.abc import AsyncIterator
 
 import pytest
 from fastapi import Body, FastAPI, Request
+from fastapi.responses import StreamingResponse
 
 from service.http import errors
-from service.http.bodies import Bodies
+from service.http.bodies import Bodies, Uploads
+
+GONE = {"type": "http.disconnect"}
+WHEN_BEGUN = {"then": "the next part, once an answer has begun"}
 
 
-async def ask(path: str, sizes: list[int], stated: int | None) -> tuple[int, dict, int]:
-    """Post a body in parts of these sizes; the status, the answer, and the parts that were read."""
+class Exchange:
+    """A request whose body comes in parts, and what was answered."""
+
+    def __init__(self, path: str, parts: list[bytes | dict], stated: int | None = None) -> None:
+        self.uploads = Uploads()
+        self.sent: list[dict] = []
+        self.waiting = list(parts)
+        self.idle, self.begun = asyncio.Event(), asyncio.Event()
+        headers = [(b"content-type", b"application/json")]
+        if stated is not None:
+            headers.append((b"content-length", b"%d" % stated))
+        self._scope = {
+            "type": "http",
+            "method": "POST",
+            "path": path,
+            "query_string": b"",
+            "headers": headers,
+        }
+
+    async def run(self) -> None:
+        app = Bodies(_application(), bytes_max=100, uploads=self.uploads)
+        await app(self._scope, self._receive, self._send)
+
+    @property
+    def status(self) -> int:
+        return self.sent[0]["status"]
+
+    @property
+    def headers(self) -> dict[bytes, bytes]:
+        return dict(self.sent[0]["headers"])
+
+    @property
+    def content(self) -> bytes:
+        return b"".join(message.get("body", b"") for message in self.sent)
+
+    async def _receive(self) -> dict:
+        if not self.waiting:
+            self.idle.set()
+            await asyncio.Event().wait()
+        part = self.waiting.pop(0)
+        if part is WHEN_BEGUN:
+            await self.begun.wait()
+            part = self.waiting.pop(0)
+        if isinstance(part, dict):
+            return part
+        return {"type": "http.request", "body": part, "more_body": part != b""}
+
+    async def _send(self, message: dict) -> None:
+        self.sent.append(message)
+        if "body" in message:
+            self.begun.set()
+
+
+def _application() -> FastAPI:
     app = FastAPI()
     errors.install(app)
 
@@ -23,44 +81,88 @@ async def ask(path: str, sizes: list[int], stated: int | None) -> tuple[int, dic
     async def parsed(value: str = Body()) -> dict[str, int]:
         return {"read": len(value) + 2}
 
-    waiting, sent = list(sizes), []
+    @app.post("/stream")
+    async def stream() -> StreamingResponse:
+        async def endless() -> AsyncIterator[str]:
+            while True:
+                yield "news"
+                await asyncio.sleep(0)
 
-    async def receive() -> dict:
-        part = b'"' * waiting.pop(0) if waiting else b""
-        return {"type": "http.request", "body": part, "more_body": bool(waiting)}
+        return StreamingResponse(endless())
 
-    async def send(message: dict) -> None:
-        sent.append(message)
+    return app
 
-    headers = [(b"content-type", b"application/json")]
-    if stated is not None:
-        headers.append((b"content-length", b"%d" % stated))
-    scope = {
-        "type": "http",
-        "method": "POST",
-        "path": path,
-        "query_string": b"",
-        "headers": headers,
-    }
-    await Bodies(app, 100)(scope, receive, send)
-    content = b"".join(message.get("body", b"") for message in sent)
-    return sent[0]["status"], json.loads(content), len(sizes) - len(waiting)
+
+def ask(path: str, parts: list[bytes | dict], stated: int | None = None) -> Exchange:
+    exchange = Exchange(path, parts, stated)
+    asyncio.run(exchange.run())
+    return exchange
 
 
 @pytest.mark.parametrize("path", ["/whole", "/parsed"])
-def test_a_body_is_refused_where_it_gets_too_large(path) -> None:
-    status, problem, read = asyncio.run(ask(path, [60] * 9, None))
-    assert status == problem["status"] == 413
+def test_a_body_is_refused_where_it_gets_too_large(path: str) -> None:
+    exchange = ask(path, [b'"' * 60] * 9)
+    problem = json.loads(exchange.content)
+    assert exchange.status == problem["status"] == 413
     assert "100 bytes" in problem["detail"]
-    assert read == 2
+    assert len(exchange.waiting) == 7
 
 
 @pytest.mark.parametrize("path", ["/whole", "/parsed"])
-def test_a_body_that_says_so_is_refused_unread(path) -> None:
-    status, _, read = asyncio.run(ask(path, [60, 60], 120))
-    assert (status, read) == (413, 0)
+def test_a_body_that_says_so_is_refused_unread(path: str) -> None:
+    exchange = ask(path, [b"x" * 60] * 2, 120)
+    assert (exchange.status, len(exchange.waiting)) == (413, 2)
 
 
 def test_what_is_allowed_passes() -> None:
-    assert asyncio.run(ask("/whole", [60, 40], 100)) == (200, {"read": 100}, 2)
-    assert asyncio.run(ask("/parsed", [2], 2))[:2] == (200, {"read": 2})
+    exchange = ask("/whole", [b"x" * 60, b"x" * 40, b""], 100)
+    assert (exchange.status, json.loads(exchange.content)) == (200, {"read": 100})
+    exchange = ask("/parsed", [b'""', b""], 2)
+    assert (exchange.status, json.loads(exchange.content)) == (200, {"read": 2})
+
+
+def test_a_stream_ends_where_a_body_that_nobody_reads_gets_too_large() -> None:
+    exchange = ask("/stream", [b"x" * 60, WHEN_BEGUN, b"x" * 60, b"x" * 60])
+    assert exchange.status == 200
+    assert exchange.content.startswith(b"news")
+    assert not exchange.sent[-1].get("more_body", False)
+    assert len(exchange.waiting) == 1
+    assert ask("/stream", [b"x" * 60, b"x" * 60]).status == 413, "nothing was said yet"
+
+
+@pytest.mark.parametrize("path", ["/whole", "/parsed"])
+def test_a_client_that_goes_away_is_no_error(path: str, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG, "service")
+    exchange = ask(path, [b"x", GONE])
+    assert exchange.sent == []
+    (record,) = caplog.records
+    assert (record.levelname, record.exc_info) == ("DEBUG", None)
+    assert path in record.getMessage()
+
+
+@pytest.mark.parametrize("path", ["/whole", "/parsed"])
+def test_the_end_of_the_service_does_not_wait_for_bodies(path: str) -> None:
+    async def scene() -> Exchange:
+        exchange = Exchange(path, [b"x"])
+        running = asyncio.create_task(exchange.run())
+        await exchange.idle.wait()
+        exchange.uploads.end()
+        await running
+        return exchange
+
+    exchange = asyncio.run(scene())
+    problem = json.loads(exchange.content)
+    assert exchange.status == problem["status"] == 503
+    assert problem["type"] == "urn:gpom:problem:stopping"
+    assert exchange.headers[b"connection"] == b"close"
+
+
+def test_a_body_that_has_come_is_read_at_the_end_too() -> None:
+    async def scene(*parts: bytes) -> Exchange:
+        exchange = Exchange("/whole", [*parts])
+        exchange.uploads.end()
+        await exchange.run()
+        return exchange
+
+    assert asyncio.run(scene(b"x", b"")).status == 200
+    assert asyncio.run(scene(b"x")).status == 503

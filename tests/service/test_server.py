@@ -10,6 +10,7 @@ import threading
 import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import httpx
 
@@ -69,7 +70,41 @@ def _events(response: httpx.Response):
             yield name, json.loads(line.removeprefix("data: "))
 
 
-def test_an_interrupt_ends_it_cleanly_even_with_streams_open() -> None:
+def _half_sent(url: str, path: str) -> socket.socket:
+    """Post a body of which only the first byte comes, once the service waits for it."""
+    address = urlsplit(url)
+    client = socket.create_connection((address.hostname, address.port), timeout=30.0)
+    client.sendall(
+        f"POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {JSON}\r\nContent-Length: 100\r\n"
+        "Expect: 100-continue\r\n\r\n".encode()
+    )
+    assert _read_until(client, b"100 Continue\r\n\r\n")
+    client.sendall(b"{")
+    return client
+
+
+def _send_too_much(url: str) -> None:
+    """Follow events, and send what nobody reads, until the stream ends."""
+    address = urlsplit(url)
+    with socket.create_connection((address.hostname, address.port), timeout=30.0) as client:
+        client.sendall(
+            b"GET /v1/events HTTP/1.1\r\nHost: test\r\nTransfer-Encoding: chunked\r\n\r\n"
+        )
+        assert b"event: map" in _read_until(client, b"event: map")
+        client.sendall(b"%x\r\n%s\r\n" % (200_000, b"x" * 200_000))
+        assert _read_until(client, b"0\r\n\r\n").endswith(b"0\r\n\r\n")
+
+
+def _read_until(client: socket.socket, end: bytes) -> bytes:
+    """Receive until something came, or all if it never does."""
+    received = b""
+    while end not in received and (part := client.recv(65_536)):
+        received += part
+    return received
+
+
+def test_an_interrupt_ends_it_cleanly_with_streams_and_uploads_open(monkeypatch) -> None:
+    monkeypatch.setenv("GPOM_HTTP__BODY_BYTES_MAX", "100000")
     with _running() as process:
         ended = threading.Event()
 
@@ -83,12 +118,22 @@ def test_an_interrupt_ends_it_cleanly_even_with_streams_open() -> None:
         listener = threading.Thread(target=listen)
         listener.start()
         assert streaming.wait(10.0)
+        _send_too_much(process.url)
+        for path in ("/v1/query", "/v1/flush"):
+            _half_sent(process.url, path).close()
+        uploads = [_half_sent(process.url, path) for path in ("/v1/query", "/v1/flush") * 2]
         code, took_s, errors = process.end(signal.SIGINT)
         assert code == 0, errors
         assert took_s < 5.0
         assert "Traceback" not in errors
+        assert "level=ERROR" not in errors
         assert ended.wait(5.0), "the stream ended in an orderly way"
         listener.join()
+        for upload in uploads:
+            with upload:
+                answer = _read_until(upload, b"all of it")
+            assert answer.startswith(b"HTTP/1.1 503")
+            assert b"urn:gpom:problem:stopping" in answer
 
 
 def test_a_long_answer_does_not_hold_the_end() -> None:
