@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gpom_core.committee import OF_HITS, OF_INFORMATION, OF_PASSES, OF_PRECISION, SUMS
 from gpom_core.config import MapConfig
 from gpom_core.evidence import Evidence
+from gpom_core.jit import compiled
 from gpom_core.link import Link, fit, take_logarithms
 from gpom_core.member import Member, train_member
 from gpom_core.observations import LEAST_COUNT, Observations
@@ -29,7 +30,7 @@ from gpom_core.snapshot import Snapshot
 SCANS = 40
 """A mapper keeps as many. With 64 likelihood gains half a percent, for 1.6 x the time."""
 
-BEAMS = 40  # of a scan that are asked for; next to each other they would tell much less
+BEAMS = 80  # of a scan that are asked for; more are neighbours, which tell much less
 _MARGIN_M = 0.2  # before a hit nothing is called free
 _SHORTEST_M = 0.3
 _NEGLIGIBLE = 0.05  # share of an observation: an expert that loses less than that everywhere stays
@@ -117,21 +118,25 @@ class _Index:
         seen = {c: m.expert.observations for c, m in sorted(snapshot.members.items())}
         ends = np.cumsum([0, *(len(o) for o in seen.values())]).tolist()
         self._mine = {c: slice(*part) for c, part in zip(seen, pairwise(ends), strict=True)}
+        self._begins = np.array(ends[:-1], np.int64)
+        self._clusters = np.array(list(seen), np.int64)
         kinds = np.concatenate([np.empty(0, np.uint8), *(o.kinds for o in seen.values())])
-        geometry = [np.empty((0, 2, 2)), *(o.geometry for o in seen.values())]
-        key = _places(kinds, np.concatenate(geometry), config, 0)
+        geometry = np.concatenate([np.empty((0, 2, 2)), *(o.geometry for o in seen.values())])
+        self._count = np.concatenate([np.empty(0), *(o.count for o in seen.values())])
+        key = _places_of(kinds, geometry, config, 0)
         self._order = np.argsort(key, kind="stable")
         self._key = key[self._order]
 
     def without(self, scan: Scan, points: _Floats) -> Snapshot:
         """The experts near points (n, 2), and no others, trained without a scan."""
         lost = self._shares(scan)
+        loses = np.logical_or.reduceat(lost > _NEGLIGIBLE * self._count, self._begins)
+        changed = set(self._clusters[loses].tolist())
         members = []
         for cluster in sorted(self._snapshot.near(points)):
             member = self._snapshot.members[cluster]
-            seen, mine = member.expert.observations, lost[self._mine[cluster]]
-            if (mine > _NEGLIGIBLE * seen.count).any():
-                rest = self._remaining(seen, mine)
+            if cluster in changed:
+                rest = self._remaining(member.expert.observations, lost[self._mine[cluster]])
                 if len(rest) == 0:
                     continue
                 member = self._trained(member, rest)
@@ -149,7 +154,7 @@ class _Index:
         lost = np.zeros(len(self._order))
         waiting = np.arange(n)
         for level in range(self._config.coarse_levels + 1):
-            key = _places(kind[waiting], geometry[waiting], self._config, level)
+            key = _places_of(kind[waiting], geometry[waiting], self._config, level)
             at = np.minimum(np.searchsorted(self._key, key), max(len(self._key) - 1, 0))
             found = self._key[at] == key if len(self._key) else np.zeros(len(key), np.bool_)
             np.add.at(lost, self._order[at[found]], count[waiting[found]])
@@ -180,7 +185,7 @@ class _Index:
         )  # fmt: skip
 
 
-def _places(
+def _places_of(
     kinds: NDArray[np.uint8], geometry: _Floats, config: MapConfig, level: int
 ) -> NDArray[np.uint64]:
     """Keys (n,) of the places that observations merge in; free areas as part of coarser ones.
@@ -188,28 +193,65 @@ def _places(
     Args:
         geometry: (n, 2, 2). level: areas of `cell_m` count as those of `cell_m * 2^level`.
     """
-    box = kinds == BOX
-    own = np.zeros(len(kinds), np.int64)
-    low = np.rint(geometry[box, 0] / config.cell_m).astype(np.int64)
-    high = np.rint(geometry[box, 1] / config.cell_m).astype(np.int64) - 1
-    for _ in range(config.coarse_levels):  # the lattice's smallest cell that holds the area
-        apart = (low >> own[box, None] != high >> own[box, None]).any(axis=1)
-        own[np.flatnonzero(box)[apart]] += 1
-    own = own + level
-    edge = np.where(kinds == SEGMENT, 0.5 * config.segment_m, config.hit_cell_m)
-    edge = np.where(box, config.cell_m * 2.0**own, edge)
-    # The middle of an area's first cell is in its cell, whatever the rounding.
-    at = geometry + np.where(box, 0.5 * config.cell_m, 0.0)[:, None, None]
-    cell = np.floor(at / edge[:, None, None]).astype(np.int64)
-    cell[box, 1] = own[box, None]
-    code = _mixed(cell[:, :, 0], cell[:, :, 1])
-    first, second = code.min(axis=1), code.max(axis=1)  # a segment has no direction
-    return _mixed(_mixed(first, second), kinds)
+    return _places(
+        kinds, geometry, config.cell_m, config.hit_cell_m, 0.5 * config.segment_m,
+        config.coarse_levels, level,
+    )  # fmt: skip
 
 
-def _mixed(a: NDArray[np.generic], b: NDArray[np.generic]) -> NDArray[np.uint64]:
+@compiled
+def _places(
+    kinds: NDArray[np.uint8],
+    geometry: _Floats,
+    cell_m: float,
+    hit_cell_m: float,
+    half_segment_m: float,
+    coarse_levels: int,
+    level: int,
+) -> NDArray[np.uint64]:
+    keys = np.empty(len(kinds), np.uint64)
+    for i in range(len(kinds)):
+        at = geometry[i]
+        if kinds[i] == BOX:
+            own = _level(at, cell_m, coarse_levels) + level
+            # The middle of an area's first cell is in its cell, whatever the rounding.
+            first = _cell(at[0], 0.5 * cell_m, cell_m * 2.0**own)
+            second = _mixed(own, own)
+        else:
+            edge_m = half_segment_m if kinds[i] == SEGMENT else hit_cell_m
+            first, second = _cell(at[0], 0.0, edge_m), _cell(at[1], 0.0, edge_m)
+        # A segment has no direction.
+        keys[i] = _mixed(_mixed(min(first, second), max(first, second)), kinds[i])
+    return keys
+
+
+@compiled
+def _cell(point: _Floats, shift_m: float, edge_m: float) -> np.uint64:
+    """Key of the cell that holds a point (2,) after it was shifted."""
+    return _mixed(
+        np.int64(np.floor((point[0] + shift_m) / edge_m)),
+        np.int64(np.floor((point[1] + shift_m) / edge_m)),
+    )
+
+
+@compiled
+def _level(box: _Floats, cell_m: float, coarse_levels: int) -> int:
+    """Of the lattice's smallest cell that holds an area (2, 2)."""
+    own = 0
+    for _ in range(coarse_levels):
+        for axis in range(2):
+            low = np.int64(np.rint(box[0, axis] / cell_m))
+            high = np.int64(np.rint(box[1, axis] / cell_m)) - 1
+            if low >> own != high >> own:
+                own += 1
+                break
+    return own
+
+
+@compiled
+def _mixed(a: int | np.integer, b: int | np.integer) -> np.uint64:
     """One number of two, so that few pairs share one; after Vigna's splitmix64."""
-    z = a.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + b.astype(np.uint64)
+    z = np.uint64(a) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(b)
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return np.asarray(z ^ (z >> np.uint64(31)))
+    return z ^ (z >> np.uint64(31))
