@@ -1,6 +1,7 @@
 """What can go wrong in the running process, as leaves of the tree in gpom_core.errors.
 
 GpomError
+├── BodyTimeoutError       a request did not come whole in time
 ├── BusyError              more work than the service takes on at once; come back later
 ├── ExcessError            more at once than one client may ask; come back later
 ├── ForbiddenError         the token of the request does not allow this
@@ -19,6 +20,10 @@ GpomError
 """
 
 from gpom_core.errors import GpomError
+
+
+class BodyTimeoutError(GpomError):
+    """A request did not come whole in time."""
 
 
 class BusyError(GpomError):

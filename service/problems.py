@@ -17,6 +17,7 @@ from gpom_core.errors import (
 from gpom_core.expert import TrainingError
 from gpom_core.image import InvalidImageError
 from service.errors import (
+    BodyTimeoutError,
     BusyError,
     ExcessError,
     FlushTimeoutError,
@@ -44,6 +45,7 @@ class Kind:
 
 KINDS: dict[type[GpomError], Kind] = {
     GpomError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "internal", "The service failed"),
+    BodyTimeoutError: Kind(HTTPStatus.REQUEST_TIMEOUT, "body-timeout", "Not sent in time"),
     BusyError: Kind(HTTPStatus.SERVICE_UNAVAILABLE, "busy", "Too much at once"),
     ConfigurationError: Kind(HTTPStatus.INTERNAL_SERVER_ERROR, "configuration", "Bad settings"),
     ExcessError: Kind(HTTPStatus.TOO_MANY_REQUESTS, "excess", "Too much from one client"),

@@ -65,6 +65,13 @@ class HttpSettings(_Section):
     query_points_max: int = Field(1_000_000, ge=1, description="points of one query")
     grid_cells_max: int = Field(4_000_000, ge=1, description="cells of one raster")
     body_bytes_max: int = Field(64 * 2**20, ge=1024, description="bytes of one request body")
+    body_timeout_s: float = Field(
+        30.0,
+        gt=0.0,
+        le=_LONGEST_S,
+        description="a body of which nothing comes for so long, or after so long less than "
+        "1000 bytes/s, is refused: 408",
+    )
     query_threads: int = Field(
         2, ge=1, le=_THREADS_MAX, description="heavy queries answered at once"
     )

@@ -49,7 +49,12 @@ def create_app(service: MapService) -> FastAPI:
     app.state.service = service
     app.add_middleware(Head)
     app.state.uploads = Uploads()
-    app.add_middleware(Bodies, bytes_max=settings.http.body_bytes_max, uploads=app.state.uploads)
+    app.add_middleware(
+        Bodies,
+        bytes_max=settings.http.body_bytes_max,
+        timeout_s=settings.http.body_timeout_s,
+        uploads=app.state.uploads,
+    )
     app.add_middleware(Shares, http=settings.http)
     app.add_middleware(Observe, metrics=service.metrics)
     app.add_middleware(Guard, access=settings.access)

@@ -1,8 +1,9 @@
-"""No route takes more into memory than one request may have, whoever reads the body."""
+"""No route takes more into memory, or waits longer, than one request may have, whoever reads."""
 
 import asyncio
 import json
 import logging
+import selectors
 from collections.abc import AsyncIterator
 
 import pytest
@@ -12,14 +13,39 @@ from fastapi.responses import StreamingResponse
 from service.http import errors
 from service.http.bodies import Bodies, Uploads
 
+TIMEOUT_S = 30.0
 GONE = {"type": "http.disconnect"}
 WHEN_BEGUN = {"then": "the next part, once an answer has begun"}
+Part = bytes | dict | float
+"""Of a body, a message, or seconds of waiting; nothing more ever comes after the last one."""
+
+
+class Clock(selectors.DefaultSelector):
+    """Waits for nothing: time goes on at once to when something is due."""
+
+    now_s = 0.0
+
+    def select(self, timeout: float | None = None) -> list:
+        self.now_s += timeout or 0.0
+        return super().select(None if timeout is None else 0.0)
+
+
+def run(scene):
+    """Run a coroutine in a loop with a clock of its own; its result."""
+    clock = Clock()
+    loop = asyncio.SelectorEventLoop(clock)
+    loop.time = lambda: clock.now_s
+    with asyncio.Runner(loop_factory=lambda: loop) as runner:
+        return runner.run(scene)
 
 
 class Exchange:
     """A request whose body comes in parts, and what was answered."""
 
-    def __init__(self, path: str, parts: list[bytes | dict], stated: int | None = None) -> None:
+    def __init__(
+        self, path: str, parts: list[Part], stated: int | None = None, bytes_max: int = 100
+    ) -> None:
+        self.bytes_max = bytes_max
         self.uploads = Uploads()
         self.sent: list[dict] = []
         self.waiting = list(parts)
@@ -36,7 +62,7 @@ class Exchange:
         }
 
     async def run(self) -> None:
-        app = Bodies(_application(), bytes_max=100, uploads=self.uploads)
+        app = Bodies(_application(), self.bytes_max, TIMEOUT_S, self.uploads)
         await app(self._scope, self._receive, self._send)
 
     @property
@@ -55,10 +81,13 @@ class Exchange:
         if not self.waiting:
             self.idle.set()
             await asyncio.Event().wait()
-        part = self.waiting.pop(0)
-        if part is WHEN_BEGUN:
+        if self.waiting[0] is WHEN_BEGUN:
             await self.begun.wait()
-            part = self.waiting.pop(0)
+            del self.waiting[0]
+        if isinstance(self.waiting[0], float):
+            await asyncio.sleep(self.waiting[0])
+            del self.waiting[0]
+        part = self.waiting.pop(0)
         if isinstance(part, dict):
             return part
         return {"type": "http.request", "body": part, "more_body": part != b""}
@@ -83,19 +112,19 @@ def _application() -> FastAPI:
 
     @app.post("/stream")
     async def stream() -> StreamingResponse:
-        async def endless() -> AsyncIterator[str]:
-            while True:
+        async def news() -> AsyncIterator[str]:
+            for _ in range(100):
                 yield "news"
-                await asyncio.sleep(0)
+                await asyncio.sleep(1.0)
 
-        return StreamingResponse(endless())
+        return StreamingResponse(news())
 
     return app
 
 
-def ask(path: str, parts: list[bytes | dict], stated: int | None = None) -> Exchange:
+def ask(path: str, parts: list[Part], stated: int | None = None) -> Exchange:
     exchange = Exchange(path, parts, stated)
-    asyncio.run(exchange.run())
+    run(exchange.run())
     return exchange
 
 
@@ -150,7 +179,7 @@ def test_the_end_of_the_service_does_not_wait_for_bodies(path: str) -> None:
         await running
         return exchange
 
-    exchange = asyncio.run(scene())
+    exchange = run(scene())
     problem = json.loads(exchange.content)
     assert exchange.status == problem["status"] == 503
     assert problem["type"] == "urn:gpom:problem:stopping"
@@ -164,5 +193,36 @@ def test_a_body_that_has_come_is_read_at_the_end_too() -> None:
         await exchange.run()
         return exchange
 
-    assert asyncio.run(scene(b"x", b"")).status == 200
-    assert asyncio.run(scene(b"x")).status == 503
+    assert run(scene(b"x", b"")).status == 200
+    assert run(scene(b"x")).status == 503
+
+
+@pytest.mark.parametrize("path", ["/whole", "/parsed"])
+@pytest.mark.parametrize(
+    "parts",
+    [
+        pytest.param([], id="nothing"),
+        pytest.param([b"x", TIMEOUT_S + 0.1, b"x", b""], id="a pause"),
+        pytest.param([b"x", 20.0, b"x", 20.0, b"x", b""], id="a drip"),
+    ],
+)
+def test_a_body_that_does_not_come_in_time_is_refused(path: str, parts: list[Part]) -> None:
+    exchange = ask(path, parts)
+    problem = json.loads(exchange.content)
+    assert exchange.status == problem["status"] == 408
+    assert "http.body_timeout_s" in problem["detail"]
+    assert exchange.headers[b"connection"] == b"close"
+
+
+def test_a_slow_body_is_not_refused_while_it_comes() -> None:
+    steady = [part for _ in range(500) for part in (b"x" * 1100, 1.0)]
+    exchange = Exchange("/whole", [*steady, b""], bytes_max=10**6)
+    run(exchange.run())
+    assert (exchange.status, json.loads(exchange.content)) == (200, {"read": 550_000})
+    assert ask("/whole", [b"x", TIMEOUT_S - 0.1, b"x", b""]).status == 200
+
+
+@pytest.mark.parametrize("parts", [[b"x"], [b"x", b""]])
+def test_a_stream_outlasts_the_time_that_bodies_have(parts: list[Part]) -> None:
+    exchange = ask("/stream", parts)
+    assert (exchange.status, exchange.content) == (200, b"news" * 100)
