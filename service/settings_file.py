@@ -79,7 +79,7 @@ def annotated_yaml(settings: Settings) -> str:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        content = _load(path)
     except OSError as error:
         message = f"cannot read the settings file {path}: {error.strerror or error}"
         raise ConfigurationError(message) from error
@@ -96,6 +96,45 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict) or not all(isinstance(key, str) for key in content):
         raise ConfigurationError(f"{path} holds no table of settings; expected lines `name: value`")
     return content
+
+
+def _load(path: Path) -> Any:
+    loader = yaml.SafeLoader(path.read_text(encoding="utf-8"))
+    try:
+        root = loader.get_single_node()
+        if root is None:
+            return None
+        _refuse_twins(root, path)
+        return loader.construct_document(root)
+    finally:
+        loader.dispose()
+
+
+def _refuse_twins(root: yaml.Node, path: Path) -> None:
+    """Refuse two entries of one name: YAML would forget the first, silently."""
+    seen: set[int] = set()  # an alias is the node itself, and may be within it
+    nodes: list[tuple[yaml.Node, tuple[str, ...]]] = [(root, ())]
+    while nodes:
+        node, place = nodes.pop()
+        if id(node) in seen:
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.SequenceNode):
+            nodes += [(item, place) for item in node.value]
+        if isinstance(node, yaml.MappingNode):
+            lines: dict[tuple[str, str], int] = {}
+            for key, value in node.value:
+                if not isinstance(key, yaml.ScalarNode):
+                    continue  # a list or a table is refused as a name, later
+                inside, line = (*place, key.value), key.start_mark.line + 1
+                if (first := lines.get((key.tag, key.value))) is not None:
+                    message = (
+                        f"{path} has {'.'.join(inside)!r} twice, in lines {first} and {line}: "
+                        "make one of them"
+                    )
+                    raise ConfigurationError(message)
+                lines[key.tag, key.value] = line
+                nodes.append((value, inside))
 
 
 def _refuse_unknown_variables() -> None:

@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -89,6 +90,36 @@ def test_what_is_wrong_is_told_without_secrets_in_one_line(tmp_path: Path, text:
         load_settings(_file(tmp_path, text))
     assert "hunter2" not in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("http: {port: 1}\nlog_level: info\nhttp: {host: a}\n", "'http' twice, in lines 1 and 3"),
+        (
+            "access:\n  read_tokens: [hunter2hunter2hunter2]\n  read_tokens: []\n",
+            "'access.read_tokens' twice, in lines 2 and 3",
+        ),
+        ("http: {port: 1, 'port': 2}\n", "'http.port' twice, in lines 1 and 1"),
+        (
+            "zenoh:\n  options:\n    a: [1, {b: hunter2, c: 2,\n      b: 3}]\n",
+            "'zenoh.options.a.b' twice, in lines 3 and 4",
+        ),
+        ("zenoh: {options: {a: &a {b: *a, c: 1, c: 1}}}\n", "'zenoh.options.a.c' twice"),
+    ],
+)
+def test_a_name_may_be_there_once_only(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(ConfigurationError, match=re.escape(expected)) as caught:
+        load_settings(_file(tmp_path, text))
+    assert str(tmp_path / "gpom.yaml") in str(caught.value)
+    assert "hunter2" not in str(caught.value)
+
+
+def test_what_is_written_once_and_meant_twice_is_no_mistake(tmp_path: Path) -> None:
+    text = "http: &ours {port: 5, host: a}\nzenoh: {options: {x: &y {z: 1}, w: *y}}\n"
+    assert load_settings(_file(tmp_path, text)).zenoh.options == {"x": {"z": 1}, "w": {"z": 1}}
+    text = "zenoh: {options: {x: &x {a: 1, b: 1}, y: {<<: *x, a: 2}}}\n"
+    assert load_settings(_file(tmp_path, text)).zenoh.options["y"] == {"a": 2, "b": 1}
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
