@@ -28,11 +28,13 @@ def media_type(request: Request) -> str:
 def agree(request: Request, offered: Iterable[str]) -> str:
     """Pick the form of the answer that the client likes best; the first offered in doubt.
 
+    Several Accept headers are one list (RFC 9110, section 5.3).
+
     Raises:
         NotAcceptableError: the Accept header wants none of them.
     """
     offers = list(offered)
-    header = request.headers.get("accept", "").strip() or "*/*"
+    header = ", ".join(filter(str.strip, request.headers.getlist("accept"))) or "*/*"
     wanted = [_weighted(part) for part in header.split(",")]
     best = max(offers, key=lambda offer: _quality(offer, wanted))
     if _quality(best, wanted) <= 0.0:

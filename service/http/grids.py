@@ -1,6 +1,7 @@
 """Rasters: GET /v1/grid."""
 
 import asyncio
+from math import inf
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
@@ -109,11 +110,21 @@ def _bounds(text: str | None, snapshot: Snapshot) -> Bounds:
 
 
 def _check_size(box: Bounds, resolution_m: float, cells_max: int) -> None:
-    rows, columns = grid_shape(box, resolution_m)
+    rows: float
+    columns: float
+    try:
+        rows, columns = grid_shape(box, resolution_m)
+    except InvalidQueryError:
+        # Perhaps for more cells than any raster may have; what holds here is less.
+        if not resolution_m > 0.0:
+            raise
+        columns, rows = (box[2] - box[0]) / resolution_m, (box[3] - box[1]) / resolution_m
+        if not (min(columns, rows) > 0.0 and cells_max < columns * rows < inf):
+            raise
     if rows * columns > cells_max:
         coarser_m = resolution_m * (rows * columns / cells_max) ** 0.5
         message = (
-            f"{columns} x {rows} cells; at most {cells_max} are allowed: ask for a smaller bbox or "
-            f"a resolution from {coarser_m:.3g} m"
+            f"{columns:.0f} x {rows:.0f} cells; at most {cells_max} are allowed: ask for a smaller "
+            f"bbox or a resolution from {coarser_m:.3g} m"
         )
         raise PayloadTooLargeError(message)

@@ -100,10 +100,15 @@ def test_no_points_is_an_answer(mapped) -> None:
         ("*/*, application/json;q=0", NPY),
         ("text/html", None),
         ("application/json;q=0, application/x-npy;q=x", None),
+        (["text/html", NPY], NPY),
+        ([f"{JSON};q=0.5", "", f"text/html, {NPY};q=0.6"], NPY),
+        (["", ""], JSON),
     ],
 )
 def test_negotiation(client, accept, expected) -> None:
-    response = client.get("/v1/query", params={"x": 0, "y": 0}, headers={"accept": accept})
+    lines = [accept] if isinstance(accept, str) else accept
+    headers = [("accept", line) for line in lines]
+    response = client.get("/v1/query", params={"x": 0, "y": 0}, headers=headers)
     if expected is None:
         _problem(response, 406)
     else:
@@ -168,6 +173,8 @@ def test_bodies_of_unstated_length_are_bounded_too(client) -> None:
         "/v1/grid?bbox=0,0,1,inf",
         "/v1/grid?bbox=0,0,1,1&resolution=0",
         "/v1/grid?bbox=0,0,1,1&resolution=-1",
+        "/v1/grid?bbox=0,0,5000,5000&resolution=-0.01",
+        "/v1/grid?bbox=5000,5000,0,0&resolution=0.01",
         "/v1/grid?bbox=0,0,1,1&resolution=nan",
         "/v1/grid?bbox=0,0,1,1&layer=height",
         "/v1/grid?bbox=0,0,1,1&format=bmp",
@@ -185,6 +192,8 @@ def test_too_many_cells_say_what_is_allowed(client) -> None:
     resolution = float(re.search(r"resolution from ([\d.]+) m", detail).group(1))
     assert client.get(f"/v1/grid?bbox=0,0,100,100&resolution={resolution}").is_success
     assert client.get("/v1/grid?bbox=0,0,1e300,1e300&resolution=1e-300").status_code in {413, 422}
+    far_too_many = client.get("/v1/grid?bbox=0,0,5000,5000&resolution=0.01")
+    assert "500000 x 500000 cells; at most 10000" in _problem(far_too_many, 413)["detail"]
 
 
 def test_grid_npy_is_the_query_at_cell_centres(mapped) -> None:
