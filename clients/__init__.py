@@ -4,8 +4,8 @@ Rooms, from the ground up; each may use those above it in this list, and gpom_co
 
 1. errors: the clients' branch of the tree of errors. children: processes that a command starts.
 2. keys: names and addresses. bag_content: what is in a ROS bag. listener: all that robots say.
-   fleet_frames: where their sensors are. outbox: where scans wait. log_reader: what a reader of
-   logs offers.
+   fleet_frames: where their sensors are. outbox: where scans wait. receipts: who hears what became
+   of them. log_reader: what a reader of logs offers.
    world: geometry of simulated sites. answers: what the map service answers.
 3. link: a zenoh session and one stream on it. carmen, bags: formats of logs. building: a furnished
    site. sensor: a simulated scanner. calls: the HTTP interface as values.

@@ -7,6 +7,7 @@ GpomError
 │   ├── OutboxStorageError      the outbox on disk cannot be used
 │   ├── ScanDroppedError        the outbox dropped this scan to make room, as told
 │   └── SupersededError         another publisher has taken over this robot's name
+├── UnknownScanError            asked about a scan that was never published; a ValueError too
 └── MapServiceError             the map's HTTP interface gave no answer that can be used
     ├── MapRequestError         4xx: the question is refused as asked
     ├── MapUnavailableError     5xx, 429: the service cannot answer now
@@ -48,6 +49,10 @@ class ScanDroppedError(DeliveryError):
 
 class SupersededError(DeliveryError):
     """Another publisher has taken over the stream: two robots have the same name."""
+
+
+class UnknownScanError(GpomError, ValueError):
+    """No scan that this publisher knows has the number that was asked about."""
 
 
 class MapServiceError(GpomError):

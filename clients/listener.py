@@ -134,6 +134,8 @@ class Listener:
 
     def _watch(self, transport: Transport, type_name: str) -> None:
         def on_token(sample: zenoh.Sample) -> None:
+            if not _names_one(sample):
+                return
             topic = topic_of_presence(transport, str(sample.key_expr))
             if sample.kind == zenoh.SampleKind.PUT:
                 self.announced[transport, topic] = type_name
@@ -148,11 +150,15 @@ class Listener:
                 self._held.append(token)
 
     def _on_sample(self, transport: Transport, type_name: str, sample: zenoh.Sample) -> None:
+        if not _names_one(sample):
+            return
         beside = None if sample.attachment is None else sample.attachment.to_bytes()
         self._put(transport, topic_of(transport, str(sample.key_expr)), type_name, sample, beside)
 
     def _on_native(self, sample: zenoh.Sample) -> None:
-        robot, _, sensor = str(sample.key_expr).removeprefix(self._settings.prefix + "/").split("/")
+        if not _names_one(sample):
+            return
+        robot, _, sensor = str(sample.key_expr).split("/")[-3:]
         self._put("gpom", f"{robot}/{sensor}", SCAN_TYPE, sample, None)
 
     def _put(
@@ -165,3 +171,8 @@ class Listener:
             self._queue.put_nowait(heard)
         except queue.Full:  # robots are never slowed down by who only listens
             self.dropped += 1
+
+
+def _names_one(sample: zenoh.Sample) -> bool:
+    """Whether a key says whose sample it is; one with wildcards meets many subscribers."""
+    return "*" not in str(sample.key_expr)

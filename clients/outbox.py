@@ -5,8 +5,9 @@ A store is a queue with a memory of its place in the stream: entry i from the fr
 """
 
 import sqlite3
+from bisect import bisect_left
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
@@ -76,6 +77,19 @@ class Store(Protocol):
         """Entries that wait."""
         ...
 
+    @property
+    def front(self) -> int:
+        """Ticket of the first entry; of the next to come when none waits."""
+        ...
+
+    def has(self, ticket: int) -> bool:
+        """Whether an entry waits."""
+        ...
+
+    def dropped(self) -> Iterator[int]:
+        """Give the tickets after the front that do not wait, ascending: they were taken out."""
+        ...
+
     def add(self, payload: bytes) -> Entry:
         """Put a scan at the end."""
         ...
@@ -112,6 +126,21 @@ class MemoryStore:
 
     def __len__(self) -> int:
         return len(self._entries)
+
+    @property
+    def front(self) -> int:
+        """Ticket of the first entry, or of the next to come."""
+        return self._entries[0].ticket if self._entries else self.ticket + 1
+
+    def has(self, ticket: int) -> bool:
+        """Whether an entry waits."""
+        place = bisect_left(self._entries, ticket, key=lambda entry: entry.ticket)
+        return place < len(self._entries) and self._entries[place].ticket == ticket
+
+    def dropped(self) -> Iterator[int]:
+        """Give the tickets after the front that were taken out."""
+        waiting = {entry.ticket for entry in self._entries}
+        return (ticket for ticket in range(self.front, self.ticket + 1) if ticket not in waiting)
 
     def add(self, payload: bytes) -> Entry:
         """Put a scan at the end."""

@@ -76,7 +76,8 @@ class ScanPublisher:
         clock_ns: gives the time that tells this stream from earlier ones.
         reliable: whether scans are kept until they are stored.
         outbox: how they are kept.
-        on_durable: told the number of every scan that the map has stored, by another thread.
+        on_durable: told the number of every scan that the map has stored, in order, by a thread
+            that does nothing else. It may publish; what it raises is logged.
 
     Raises:
         ConfigurationError: a name or an endpoint is malformed.
@@ -208,11 +209,16 @@ class ScanPublisher:
             return self._seq
 
     def durable(self, number: int) -> "Future[int]":
-        """Give a future that is done when the map has stored the scan that `publish` just took.
+        """Give a future that is done when the map has stored the scan that `publish` gave a number.
 
-        In asyncio: ``await asyncio.wrap_future(publisher.durable(number))``.
+        In asyncio: ``await asyncio.wrap_future(publisher.durable(number))``. Each call gives a
+        future of its own, which may be cancelled. It fails with ScanDroppedError, with
+        SupersededError when another publisher takes over the robot's name, and with DeliveryError
+        when this one is closed before.
 
         Raises:
+            UnknownScanError: no scan has that number, or it was through before this publisher was
+                opened; a ValueError too.
             DeliveryError: delivery is best effort, or the publisher is not open.
         """
         self._open_outlet()

@@ -46,7 +46,9 @@ def query(
     `gpom query 1.5 -2` prints JSON; --points asks about all places of a file at once.
     """
     one = x is not None or y is not None
-    if one == (points is not None):
+    if one and points is not None:
+        raise ConfigurationError("asked twice; expected either X and Y, or --points FILE, not both")
+    if not one and points is None:
         raise ConfigurationError("nothing to ask about; expected X and Y, or --points FILE")
     with MapClient(url) as client:
         if points is None:

@@ -26,11 +26,13 @@ from clients.errors import (
 )
 from clients.keys import StreamKeys
 from clients.link import Parcel, ScanLink
-from clients.outbox import DiskStore, Entry, MemoryStore, OutboxSettings, Store
+from clients.outbox import DiskStore, MemoryStore, OutboxSettings, Store
+from clients.receipts import Receipts, settled
 from gpom_core.wire import renumber
 
 _CURSOR = struct.Struct("<QQ")
 _ASK_TIMEOUT_S = 2.0
+_TELL_TIMEOUT_S = 3.0
 _RETRY_S = 0.2
 _STUCK_S = 10.0
 
@@ -59,8 +61,8 @@ class ReliableLink:
         keys: of the stream.
         boot: of the run, unless the outbox on disk goes on with an older one.
         settings: of the outbox.
-        on_durable: told the ticket of every scan that the map has stored, in order, by a thread of
-            this link; it must be quick.
+        on_durable: told the ticket of every scan that the map has stored, in order, by a thread
+            that does nothing else. What it raises is logged.
     """
 
     def __init__(
@@ -74,7 +76,6 @@ class ReliableLink:
         self._session = session
         self._keys = keys
         self._settings = settings
-        self._on_durable = on_durable
         self._store: Store = (
             MemoryStore(boot)
             if settings.path is None
@@ -86,13 +87,14 @@ class ReliableLink:
         self._progress_s = time.monotonic()
         self._stuck_since_s: float | None = None
         self._acks: deque[Cursor] = deque()
-        self._waiting: dict[int, Future[int]] = {}
         self._dropped = 0
-        self._broken: DeliveryError | None = None
+        self._superseded: str | None = None
         self._closing = False
         self._changed = threading.Condition()
         self._link = ScanLink(session, keys)
         self._subscriber = session.declare_subscriber(keys.ack, self._on_ack)
+        before, dropped = self._store.front - 1, self._store.dropped()
+        self._receipts = Receipts(keys.scan, before, dropped, on_durable=on_durable)
         self._thread = threading.Thread(target=self._run, name=f"gpom-outbox-{keys.robot}")
         self._thread.daemon = True  # a put that hangs must not hold the process
         self._thread.start()
@@ -163,27 +165,32 @@ class ReliableLink:
             return entry.ticket
 
     def durable(self, ticket: int) -> "Future[int]":
-        """Give a future that is done when the map has stored a scan that was just taken.
+        """Give a future that is done when the map has stored a scan; each call its own.
 
-        `asyncio.wrap_future` makes it awaitable. It fails with ScanDroppedError.
+        `asyncio.wrap_future` makes it awaitable. It fails with ScanDroppedError, SupersededError,
+        or DeliveryError when the link is closed before.
+
+        Raises:
+            UnknownScanError: no scan has that ticket, or what became of it is not known any more.
         """
-        future: Future[int] = Future()
         with self._changed:
-            front = self._store.slice(0, 1)
-            if front and front[0].ticket <= ticket:
-                self._waiting[ticket] = future
-                return future
-        future.set_result(ticket)
-        return future
+            if not self._store.has(ticket):
+                return self._receipts.past(ticket, self._store.front, self._store.ticket)
+            refusal = self._refusal()
+            return settled(ticket, refusal) if refusal else self._receipts.promise(ticket)
 
     def drain(self, timeout_s: float) -> bool:
-        """Wait until the map has stored all that was taken; False when that takes longer."""
+        """Wait until the map has stored all that was taken; False when that takes longer.
+
+        Who asked is told as well by then, if that takes no longer.
+        """
+        end_s = time.monotonic() + timeout_s
         with self._changed:
-            self._changed.wait_for(
-                lambda: len(self._store) == 0 or self._broken is not None or self._closing,
-                timeout_s,
-            )
-            return len(self._store) == 0
+            self._changed.wait_for(lambda: len(self._store) == 0 or self._over(), timeout_s)
+            if len(self._store) > 0:
+                return False
+        self._receipts.wait(end_s - time.monotonic())
+        return True
 
     def close(self) -> None:
         """Stop sending. What waits is kept on disk, or lost if there is none."""
@@ -195,9 +202,9 @@ class ReliableLink:
         self._thread.join(_ASK_TIMEOUT_S + 1.0)
         with self._changed:
             self._store.close()
-            waiting, self._waiting = self._waiting, {}
-        for future in waiting.values():
-            future.set_exception(DeliveryError("the publisher was closed before it was stored"))
+            message = f"the publisher of {self._keys.scan} was closed before it was stored"
+            self._receipts.fail_all(DeliveryError(message))
+        self._receipts.close(_TELL_TIMEOUT_S)
 
     def _make_room(self, size: int) -> None:
         self._refuse_if_over()
@@ -219,17 +226,13 @@ class ReliableLink:
     def _drop_oldest(self, size: int) -> None:
         # What may be on its way keeps its number, so it cannot be dropped.
         while not self._fits(size) and len(self._store) > self._sent:
-            self._drop(self._store.remove_at(self._sent))
+            dropped = self._store.remove_at(self._sent)
+            self._dropped += 1
+            self._receipts.dropped(dropped.ticket)
         if not self._fits(size):
             self._dropped += 1
             message = "the outbox is full of scans that are on their way; this one is dropped"
             raise ScanDroppedError(message)
-
-    def _drop(self, entry: Entry) -> None:
-        self._dropped += 1
-        future = self._waiting.pop(entry.ticket, None)
-        if future is not None:
-            future.set_exception(ScanDroppedError(f"scan {entry.ticket} made room for later ones"))
 
     def _fits(self, size: int) -> bool:
         store = self._store
@@ -241,13 +244,19 @@ class ReliableLink:
         )
 
     def _over(self) -> bool:
-        return self._broken is not None or self._closing
+        return self._superseded is not None or self._closing
+
+    def _refusal(self) -> DeliveryError | None:
+        if self._superseded is not None:
+            return SupersededError(self._superseded)
+        if self._closing:
+            return DeliveryError(f"the publisher of {self._keys.scan} is closed")
+        return None
 
     def _refuse_if_over(self) -> None:
-        if self._broken is not None:
-            raise self._broken
-        if self._closing:
-            raise DeliveryError(f"the publisher of {self._keys.scan} is closed")
+        refusal = self._refusal()
+        if refusal is not None:
+            raise refusal
 
     def _on_ack(self, sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()
@@ -274,7 +283,7 @@ class ReliableLink:
             self._changed.wait_for(self._has_work, self._settings.silence_s / 4)
             if self._over():
                 return False
-            while self._acks:
+            while self._acks and not self._over():
                 self._absorb(self._acks.popleft())
             self._watch_silence()
             synced = self._synced
@@ -329,11 +338,11 @@ class ReliableLink:
             return
         answer = self._ask()
         with self._changed:
-            if answer is Unknown.MAP:
+            if answer is Unknown.MAP or self._over():
                 return
             if isinstance(answer, Cursor):
                 self._absorb(answer)
-                if self._broken is not None:
+                if self._over():
                     return
             if self._store.acked > 0 and not (
                 isinstance(answer, Cursor) and answer.boot == self._store.boot
@@ -364,12 +373,12 @@ class ReliableLink:
         store = self._store
         if cursor.boot > store.boot:
             if store.acked > 0:
-                message = (
+                self._superseded = (
                     f"another publisher has taken over {self._keys.scan}: two robots have the "
                     f"same name. {len(store)} scans of this one are not stored"
                 )
-                self._broken = SupersededError(message)
-                _logger.error(message)
+                _logger.error(self._superseded)
+                self._receipts.fail_all(SupersededError(self._superseded))
                 self._changed.notify_all()
             else:
                 self._restart(cursor.boot + 1)  # this machine's clock is behind the last run's
@@ -380,12 +389,7 @@ class ReliableLink:
         done = store.remove_front(count)
         self._next, self._sent = max(self._next - count, 0), max(self._sent - count, 0)
         self._progress_s, self._stuck_since_s = time.monotonic(), None
-        for entry in done:
-            future = self._waiting.pop(entry.ticket, None)
-            if future is not None:
-                future.set_result(entry.ticket)
-            if self._on_durable is not None:
-                self._on_durable(entry.ticket)
+        self._receipts.stored(entry.ticket for entry in done)
         self._changed.notify_all()
 
     def _restart(self, boot: int) -> None:

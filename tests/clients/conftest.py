@@ -66,6 +66,10 @@ class FakeMap:
             part.undeclare()
         self._parts.clear()
 
+    def acknowledge(self, robot: str, boot: int, seq: int, prefix: str = DEFAULT_PREFIX) -> None:
+        """Say that a stream is stored so far, whatever is."""
+        self.session.put(f"{prefix}/{robot}/ack/laser", struct.pack("<QQ", boot, seq))
+
     def wait(self, count: int, timeout_s: float = 20.0) -> list[Scan]:
         with self._arrived:
             assert self._arrived.wait_for(lambda: len(self.samples) >= count, timeout_s), (

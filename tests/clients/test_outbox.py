@@ -37,6 +37,19 @@ def test_first_in_first_out_with_tickets(store):
     assert store.add(b"x").ticket == 6
 
 
+def test_which_entries_wait_and_which_were_dropped(store):
+    assert (store.front, list(store.dropped()), store.has(1)) == (1, [], False)
+    for i in range(6):
+        store.add(bytes([i]))
+    store.remove_front(1)
+    for _ in range(2):
+        store.remove_at(1)
+    assert [ticket for ticket in range(-1, 8) if store.has(ticket)] == [2, 5, 6]
+    assert (store.front, list(store.dropped())) == (2, [3, 4])
+    store.remove_front(3)
+    assert (store.front, list(store.dropped())) == (7, [])
+
+
 def test_what_is_on_disk_is_there_again(tmp_path):
     store = DiskStore(tmp_path / "o", "r/s", 2**64 - 2)
     for i in range(4):

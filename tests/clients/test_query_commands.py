@@ -87,10 +87,16 @@ def test_an_npy_of_another_shape_is_refused(tmp_path, capsys):
     assert "(N, 2)" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("args", [[], ["1", "2", "--points", "a.csv"], ["1"], ["1", "b"]])
+@pytest.mark.parametrize("args", [[], ["1"], ["1", "b"]])
 def test_unclear_questions_are_refused(args, capsys):
     assert run(["query", *args, "--url", "http://127.0.0.1:9"]) == 2
     assert "expected" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("place", [["1", "2"], ["1"]])
+def test_a_place_and_a_file_at_once_are_refused(place, capsys):
+    assert run(["query", *place, "--points", "a.csv", "--url", "http://127.0.0.1:9"]) == 2
+    assert "either X and Y, or --points FILE, not both" in capsys.readouterr().err
 
 
 def test_a_refusal_of_the_service_is_the_users_error(fake, capsys):

@@ -11,7 +11,7 @@ from rosbags.interfaces import QosDurability
 from typer.testing import CliRunner
 
 from clients.cli import app
-from clients.listener import Listener, ListenerSettings
+from clients.listener import Listener, ListenerSettings, named
 from clients.log_reader import ReadOptions
 from clients.logs import open_log
 from clients.record import BagRecorder
@@ -163,6 +163,23 @@ def test_a_bag_is_never_written_over_and_never_silently_empty(router, tmp_path) 
         BagRecorder(tmp_path / "file" / "bag")
     result = run("record", str(tmp_path / "bag"), "--seconds", "0.2", "--connect", router)
     assert "nobody published anything" in str(result.exception)
+
+
+def test_what_is_put_for_many_is_of_nobody(silent_map, caplog) -> None:
+    """A key with wildcards reaches every subscriber that it meets, and names no robot."""
+    session = silent_map.session
+    tokens = [session.liveliness().declare_token(key) for key in ("@ros2_lv/**", "@/*/@ros2_lv/**")]
+    listener = Listener(session, ListenerSettings(named(None), 0, "gpom/v1/site"))
+    for key in ("**", "gpom/v1/site/**", "gpom/v1/site/r1/scan/*", "0/**", "0/r1/*/x"):
+        session.put(key, b"for many")
+    session.put("gpom/v1/site/r1/scan/laser", b"for one")
+    found = next(listener.messages(10.0, threading.Event()))
+    listener.close()
+    assert (found.topic, found.payload) == ("r1/laser", b"for one")
+    assert listener.announced == {}
+    assert [record for record in caplog.records if record.name.startswith("zenoh")] == []
+    for token in tokens:
+        token.undeclare()
 
 
 def test_fixed_transforms_are_heard_by_who_comes_late(router) -> None:

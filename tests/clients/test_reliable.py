@@ -1,6 +1,7 @@
 """Reliable delivery against a stand-in for the map that forgets, drops and goes away."""
 
 import asyncio
+import threading
 import time
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from clients.errors import (
     OutboxFullError,
     ScanDroppedError,
     SupersededError,
+    UnknownScanError,
 )
 from clients.outbox import OutboxSettings
 from clients.publisher import ScanPublisher
@@ -73,6 +75,89 @@ def test_durable_can_be_awaited_and_called_back(fake_map):
         assert asyncio.run(wait()) == [1, 2, 3, 4, 5]
         assert robot.durable(2).result(0.0) == 2, "long done"
     assert told == [1, 2, 3, 4, 5]
+
+
+def test_an_await_that_timed_out_keeps_nobody_from_hearing(silent_map):
+    told = []
+
+    async def impatient(robot, number):
+        with pytest.raises(TimeoutError):
+            await asyncio.wait_for(asyncio.wrap_future(robot.durable(number)), 0.01)
+
+    with publisher(silent_map, on_durable=told.append) as robot:
+        numbers = [robot.publish(SCAN) for _ in range(3)]
+        patient = [robot.durable(number) for number in numbers]
+        asyncio.run(impatient(robot, 1))
+        assert patient[1].cancel()
+        silent_map.subscribe()
+        silent_map.appear()
+        assert [patient[0].result(20.0), patient[2].result(20.0)] == [1, 3]
+        assert robot.drain(20.0)
+        assert told == [1, 2, 3]
+
+
+def test_a_callback_that_fails_keeps_nobody_from_hearing(fake_map):
+    told = []
+
+    def on_durable(number: int) -> None:
+        told.append(number)
+        raise RuntimeError
+
+    with publisher(fake_map, on_durable=on_durable) as robot:
+        robot.publish(SCAN)
+        assert robot.drain(20.0)
+        fake_map.drop_every = 1
+        future = [robot.durable(robot.publish(SCAN)) for _ in range(5)][-1]
+        fake_map.acknowledge("r1", robot.boot, 6)
+        assert future.result(20.0) == 6
+    assert told == [1, 2, 3, 4, 5, 6]
+
+
+def test_who_is_told_may_publish_though_the_outbox_is_full_and_others_wait(silent_map):
+    settings = OutboxSettings(scans_max=1, window=1, silence_s=0.1)
+    with publisher(silent_map, outbox=settings) as robot:
+        first = robot.durable(robot.publish(replace(SCAN, stamp_ns=1)))
+        first.add_done_callback(lambda _: robot.publish(replace(SCAN, stamp_ns=3)))
+        other = threading.Thread(target=robot.publish, args=(replace(SCAN, stamp_ns=2),))
+        other.start()
+        silent_map.subscribe()
+        silent_map.appear()
+        silent_map.wait(3)
+        other.join()
+        assert robot.drain(20.0)
+    assert sorted(stamps(silent_map)) == [1, 2, 3]
+
+
+@pytest.mark.usefixtures("leaves_soon")
+def test_dropping_a_scan_that_nobody_awaits_any_more(silent_map):
+    settings = OutboxSettings(scans_max=2, window=1, policy="drop_oldest")
+    with publisher(silent_map, outbox=settings) as robot:
+        futures = [robot.durable(robot.publish(SCAN)) for _ in range(2)]
+        assert futures[0].cancel()
+        for _ in range(2):
+            robot.publish(SCAN)
+        for future in (futures[1], robot.durable(1)):
+            with pytest.raises(ScanDroppedError):
+                future.result(20.0)
+
+
+def test_only_scans_that_were_published_can_be_stored(fake_map):
+    with publisher(fake_map) as robot:
+        with pytest.raises(UnknownScanError, match="none was published yet"):
+            robot.durable(1)
+        for _ in range(3):
+            robot.publish(SCAN)
+        for number in (99, 4, 0, -1):
+            with pytest.raises(ValueError, match=f"no scan {number} .* from 1 to 3"):
+                robot.durable(number)
+
+
+@pytest.mark.usefixtures("leaves_soon")
+def test_who_waits_is_told_that_the_publisher_was_closed(silent_map):
+    with publisher(silent_map) as robot:
+        future = robot.durable(robot.publish(SCAN))
+    with pytest.raises(DeliveryError, match="was closed before"):
+        future.result(0.0)
 
 
 def test_best_effort_cannot_tell(fake_map):
@@ -161,6 +246,24 @@ def test_of_two_robots_with_one_name_the_older_is_told(fake_map):
             assert newer.drain(20.0)
 
 
+@pytest.mark.usefixtures("leaves_soon")
+def test_what_waits_fails_at_once_when_another_takes_over(fake_map):
+    with publisher(fake_map) as older:
+        older.publish(SCAN)
+        assert older.drain(20.0)
+        fake_map.drop_every = 1
+        number = older.publish(SCAN)
+        future = older.durable(number)
+        fake_map.acknowledge("r1", older.boot + 1, 1)
+        assert isinstance(future.exception(20.0), SupersededError)
+        for late in (older.durable(number), older.durable(number)):
+            with pytest.raises(SupersededError, match="1 scans of this one are not stored"):
+                late.result(0.0)
+        assert older.durable(1).result(0.0) == 1, "it was stored before"
+        with pytest.raises(SupersededError):
+            older.publish(SCAN)
+
+
 def test_a_restarted_map_that_kept_its_journal_goes_on(fake_map):
     with running_map() as first:
         endpoint = first.endpoint
@@ -191,6 +294,7 @@ def test_a_robot_that_crashed_goes_on_from_its_disk(silent_map, tmp_path):
     silent_map.appear()
     with publisher(silent_map, outbox=settings) as robot:
         robot.publish(replace(SCAN, stamp_ns=5))
+        assert robot.durable(5).result(20.0) == 5
         assert robot.drain(20.0)
         assert robot.boot == boot
     assert stamps(silent_map) == [0, 1, 2, 3, 4, 5]
