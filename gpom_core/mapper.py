@@ -329,6 +329,11 @@ class Mapper:
             self._snapshot = replace(self._snapshot.with_link(link), version=later)
         return self._snapshot
 
+    def adopt(self, link: Link) -> None:
+        """Answer by a link that was fitted to this map before; when one is due does not change."""
+        if link != self._snapshot.link:
+            self._snapshot = self._snapshot.with_link(link)
+
     def fail_calibration(self, job: CalibrationJob) -> None:
         """It did not end well: probabilities stay as they are until the next is due."""
         self._settle(job)

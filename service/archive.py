@@ -11,14 +11,17 @@ from collections.abc import Mapping
 from concurrent.futures import Executor
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
 
 from gpom_core import wire
 from gpom_core.config import MapConfig
 from gpom_core.errors import GpomError, InvalidScanError
 from gpom_core.image import dump, load
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper
 from service.clock import Clock
 from service.errors import JournalError, MapFileError
@@ -30,6 +33,15 @@ from service.sqlite_journal import SqliteJournal
 logger = logging.getLogger(__name__)
 
 _PATTERN = "checkpoint-*.gpom"
+
+
+class _KeptLink(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    journal: str
+    position: int
+    weights: tuple[float, ...]
+    map: dict[str, Any]
 
 
 class Archive:
@@ -174,6 +186,44 @@ class Archive:
             path.unlink(missing_ok=True)
         kept = found[-self._settings.checkpoints_kept :]
         self.journal.release(int(kept[0].stem.rpartition("-")[2]))
+
+    def keep_link(self, link: Link, position: int) -> None:
+        """Keep what the map was calibrated to at a position, for a restart after a kill.
+
+        It can be found again from the scans, so a disk that does not take it is no trouble here.
+        """
+        kept = _KeptLink(
+            journal=self.journal.identity,
+            position=position,
+            weights=link.weights,
+            map=self._config.model_dump(mode="json"),
+        )
+        draft = self._link_path.with_suffix(".new")
+        try:
+            draft.write_text(kept.model_dump_json(), "utf-8")
+            draft.replace(self._link_path)
+        except OSError as error:
+            logger.warning("%s cannot be written: %s", self._link_path, error)
+
+    def kept_link(self, position: int) -> Link | None:
+        """The link that was kept at `position` or later; None if it is unknown or unreadable."""
+        try:
+            kept = _KeptLink.model_validate_json(self._link_path.read_bytes())
+            link = Link(kept.weights)
+            clash = self._config.clash(MapConfig(**kept.map))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            logger.warning(
+                "%s is not understood, so it is calibrated anew: %s", self._link_path, error
+            )
+            return None
+        ours = kept.journal == self.journal.identity and not clash
+        return link if ours and position <= kept.position <= self.journal.position else None
+
+    @property
+    def _link_path(self) -> Path:
+        return self.directory / "link.json"
 
     def packed(self, mapper: Mapper, position: int) -> SavedMap:
         """A map that goes up to a position in the journal, ready to be written anywhere."""

@@ -68,13 +68,13 @@ class Calibrating:
         """Whether a calibration begun since `want` gave this number is over, well or not."""
         return self._ended >= number
 
-    def begin(self, executor: Executor) -> None:
-        """Give the pool a calibration's first step, if one is due.
+    def begin(self, executor: Executor, *, if_due: bool = True) -> None:
+        """Give the pool a calibration's first step, if one is wanted or (`if_due`) due.
 
         Raises:
             CalibrationError: the pool takes nothing.
         """
-        if self._running is not None:
+        if self._running is not None or not (self._wanted or if_due):
             return
         job = self._mapper.take_calibration(even_if_little_is_new=self._wanted)
         if job is not None or self._wanted:

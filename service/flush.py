@@ -11,11 +11,12 @@ class Flush:
 
     Once they are integrated, `missing` are the experts that were dirty at that moment, in `turn`
     of training. Each is done when a job taken later is swapped in, or when it is clean: so a flush
-    ends even while new scans make experts dirty again all the time. Then the map is calibrated, by
-    the `calibration` of that number: what a flush shows depends on the scans alone.
+    ends even while new scans make experts dirty again all the time. Then, if it `calibrates`, the
+    map is, by the `calibration` of that number: what a flush shows depends on the scans alone.
     """
 
     ticket: int
+    calibrates: bool = True
     done: "Future[None]" = field(default_factory=Future)
     missing: set[int] | None = None
     turn: int = 0

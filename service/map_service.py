@@ -9,6 +9,7 @@ from typing import Protocol
 
 import threadpoolctl
 
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper
 from service.archive import Archive
 from service.clock import Clock, SystemClock
@@ -200,11 +201,16 @@ class MapService:
             interval_s=self.settings.journal.checkpoint_interval_s,
             metrics=self.metrics,
             clock=self._ports.clock,
+            keep_link=archive.keep_link,
         )
+        link = archive.kept_link(position)
+        if link is not None:
+            mapper.adopt(link)
         tail = journal.replay(position, journal.position)
         self._mapping.resume(
-            mapper, position, tail, saver=self._saver, helpers=helpers, cores=cores
-        )
+            mapper, position, tail, saver=self._saver, helpers=helpers, cores=cores,
+            calibrate=mapper.snapshot().link == Link(),
+        )  # fmt: skip
         self._ingest.resume()
         self._received_before = sum(robot.scans for robot in self.fleet.robots())
 

@@ -98,6 +98,7 @@ class MapKeeper:
         self._position = 0  # in the journal, of the last scan that was handed over
         self._tail: Tail | None = None
         self._restored: Future[None] | None = None
+        self._calibrates = True
         self._helpers: ThreadPoolExecutor | None = None
         self._saver: Saver | None = None
         self._new_training = partial(
@@ -126,6 +127,7 @@ class MapKeeper:
         saver: "Saver",
         helpers: ThreadPoolExecutor,
         cores: int,
+        calibrate: bool,
     ) -> None:
         """Go on from a checkpoint and the scans stored since; to be called before `begin`.
 
@@ -136,8 +138,10 @@ class MapKeeper:
             saver: is offered the map after every step.
             helpers: train and calibrate until then, with nobody to give way to.
             cores: as many as there are helpers.
+            calibrate: before it answers, as no link is known that was fitted to this map.
         """
         self._adopt(mapper)
+        self._calibrates = calibrate
         self._tail, self._saver = Tail(tail, position, self._beams_max), saver
         self._position = position
         self._helpers = helpers
@@ -189,12 +193,12 @@ class MapKeeper:
             self._backlog += len(batch.records)
             self._changed.notify_all()
 
-    def flush(self, ticket: int) -> "Future[None]":
+    def flush(self, ticket: int, *, calibrates: bool = True) -> "Future[None]":
         """Give a future that is done once all scans up to `ticket` are in the answers.
 
         Cancel it to give up. It fails with StoppingError when the service stops first.
         """
-        flush = Flush(ticket)
+        flush = Flush(ticket, calibrates)
         with self._changed:
             if self._stopping:
                 flush.done.set_exception(StoppingError("the service is shutting down"))
@@ -299,7 +303,7 @@ class MapKeeper:
         if not tail.held_any:
             return self._training.idle
         if self._restored is None:
-            self._restored = self.flush(self._settled_ticket)
+            self._restored = self.flush(self._settled_ticket, calibrates=self._calibrates)
         return self._restored.done()
 
     def _poke(self) -> None:
@@ -370,10 +374,12 @@ class MapKeeper:
         for flush in flushes:
             flush.follow(splits)
             flush.note(turns)
-            trained = flush.advance(self._settled_ticket, dirty, self._training.turn)
-            if trained and flush.calibration is None:
-                flush.calibration = self._training.calibrate()
-            if flush.calibration is not None and self._training.calibrated(flush.calibration):
+            over = flush.advance(self._settled_ticket, dirty, self._training.turn)
+            if over and flush.calibrates:
+                if flush.calibration is None:
+                    flush.calibration = self._training.calibrate()
+                over = self._training.calibrated(flush.calibration)
+            if over:
                 if flush.done.set_running_or_notify_cancel():
                     flush.done.set_result(None)
             elif not flush.done.cancelled():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpom_core.image import dump
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper
 from service.clock import Clock
 from service.errors import MapFileError
@@ -22,6 +23,9 @@ _LOOK_S = 0.1  # how often it is looked whether the last copy is written
 Save = Callable[[Mapping[str, NDArray[np.generic]], int], None]
 """Keeps an image of the map that goes up to a position in the journal."""
 
+KeepLink = Callable[[Link, int], None]
+"""Keeps what the map was calibrated to at a position, between two images."""
+
 
 class Saver:
     """Copies the map in the thread that owns it, and writes the copy in another.
@@ -31,12 +35,22 @@ class Saver:
         position: up to which the map is saved already.
         interval_s: between two copies, also if one cannot be written. When robots have come to rest
             there is one sooner: a restart has nothing to integrate then.
+        keep_link: writes a few bytes, after each calibration; never raises.
     """
 
     def __init__(
-        self, save: Save, position: int, *, interval_s: float, metrics: Metrics, clock: Clock
+        self,
+        save: Save,
+        position: int,
+        *,
+        interval_s: float,
+        metrics: Metrics,
+        clock: Clock,
+        keep_link: KeepLink | None = None,
     ) -> None:
         self._save = save
+        self._keep_link = keep_link
+        self._link = Link()  # of who was never calibrated: not worth keeping
         self._interval_s = interval_s
         self._metrics = metrics
         self._clock = clock
@@ -72,6 +86,10 @@ class Saver:
         """Copy the map if it is time. Called by the thread that owns it."""
         if position != self._offered:
             self._offered, self._heard_s = position, self._clock.monotonic_s()
+        link = mapper.snapshot().link
+        if self._keep_link is not None and link != self._link:
+            self._link = link
+            self._pool.submit(self._keep_link, link, position)
         if self.seconds_to_save() != 0.0:
             return
         self._next_s = self._clock.monotonic_s() + self._interval_s

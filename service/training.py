@@ -112,6 +112,7 @@ class Training:
         self._last_swap_s = clock.monotonic_s()
         self._job_s = 0.01
         self._version = mapper.snapshot().version
+        self._borrowed = False
 
     @property
     def turn(self) -> int:
@@ -124,12 +125,15 @@ class Training:
         return not (self._in_pool or self._trained or self._calibrating.active)
 
     def borrow(self, helpers: Executor, workers: int) -> None:
-        """Let others run jobs until `give_back`, so many at once."""
+        """Let others run jobs until `give_back`, so many at once; calibrate when asked to only."""
         self._executor, self._workers = helpers, workers
+        self._borrowed = True
 
     def give_back(self) -> None:
         """Let the executor run jobs again that is there for it."""
         self._executor, self._workers = self._own
+        self._borrowed = False
+        self._wake()  # a calibration may be due
 
     def calibrate(self) -> int:
         """Calibrate next, even if little is new; give a number to ask `calibrated` about."""
@@ -194,7 +198,7 @@ class Training:
 
     def _begin_calibration(self) -> None:
         try:
-            self._calibrating.begin(self._executor)
+            self._calibrating.begin(self._executor, if_due=not self._borrowed)
         except CalibrationError as error:
             self._uncalibrated(error)
 

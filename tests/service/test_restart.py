@@ -1,6 +1,7 @@
 """The map outlives the process: what was acknowledged is in it again, and answers are the same."""
 
 import json
+import re
 import shutil
 import sqlite3
 import threading
@@ -12,7 +13,9 @@ import numpy as np
 import pytest
 
 from gpom_core.config import MapConfig
+from gpom_core.link import Link
 from service.archive import Archive, catch_up
+from service.calibrating import Calibrating
 from service.clock import SystemClock
 from service.errors import JournalError, MapFileError, NotReadyError
 from service.map_service import MapService, Ports
@@ -56,7 +59,7 @@ class House:
     def crash(self) -> None:
         """What SIGKILL leaves: no checkpoint at the end, and the lock is gone."""
         kept = self.directory.with_name("kept")
-        shutil.copytree(self.directory, kept)
+        shutil.copytree(self.directory, kept, ignore=shutil.ignore_patterns("*.new"))
         self.service.stop()
         shutil.rmtree(self.directory)
         kept.rename(self.directory)
@@ -124,6 +127,35 @@ def test_after_a_crash_the_journal_is_integrated_again(house) -> None:
     service = house.start(**UNSPLIT)
     assert service.state.scans_integrated == 20
     assert_same(occupancy(service), before)
+
+
+def kept_link(house) -> Path:
+    """Of the last calibration, as soon as it is written."""
+    path, link = house.directory / "link.json", house.service.state.snapshot.link
+    house.until(lambda: path.exists() and f"{link.weights[0]!r}" in path.read_text())
+    return path
+
+
+def test_after_a_crash_it_answers_by_the_calibration_before(house, monkeypatch) -> None:
+    house.drive(1, 20)
+    link = house.service.state.snapshot.link
+    kept_link(house)
+    house.crash()
+    monkeypatch.setattr(Calibrating, "begin", lambda *_, **__: None)
+    assert house.start().state.snapshot.link == link != Link()
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff", b"{}", b'{"weights": [1e999]}', None])
+def test_a_calibration_that_cannot_be_read_is_made_again(house, content) -> None:
+    house.service.stop()
+    house.start(**UNSPLIT)
+    house.drive(1, 12)
+    before, path = occupancy(house.service), kept_link(house)
+    house.crash()
+    if content is None:  # of another journal
+        content = re.sub(rb'"journal":"[^"]*"', b'"journal":"another"', path.read_bytes())
+    path.write_bytes(content)
+    assert_same(occupancy(house.start(**UNSPLIT)), before)
 
 
 def test_checkpoint_and_tail_make_the_map(house) -> None:
