@@ -394,16 +394,3 @@ def test_openapi_is_served_with_examples(client) -> None:
     assert "security" not in schema, "nobody needs a token here"
     missing = set(re.findall(r'"#/components/schemas/(\w+)"', json.dumps(schema)))
     assert missing <= schema["components"]["schemas"].keys()
-
-
-def test_two_services_in_one_process_do_not_meet() -> None:
-    first, second = MemorySource(), MemorySource()
-    with (
-        WebClient(create_app(MapService(Settings(), Ports(first)))) as one,
-        WebClient(create_app(MapService(Settings(), Ports(second)))) as two,
-    ):
-        first.put("robot", "front", payload_at())
-        one.post("/v1/flush")
-        two.post("/v1/flush")
-        assert one.get("/v1/status").json()["scans_integrated"] == 1
-        assert two.get("/v1/status").json()["scans_integrated"] == 0

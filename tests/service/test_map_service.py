@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from service.errors import SourceError
+from service.http.app import create_app
 from service.map_service import MapService, Ports
 from service.points import JSON, NPY, write_npy
 from service.settings import HttpSettings, IngestSettings, Settings, ZenohSettings
 from service.source import MemorySource
 from tests.service.rooms import HALF_M, payload_at
+from tests.service.web import WebClient
 
 
 def test_scans_become_a_map(service, source, journal) -> None:
@@ -207,3 +209,16 @@ def test_stopping_releases_a_robot_that_is_blocked(source, monkeypatch) -> None:
     assert time.monotonic() - start_s < 5.0
     robot.join(5.0)
     assert not robot.is_alive()
+
+
+def test_two_services_in_one_process_do_not_meet() -> None:
+    first, second = MemorySource(), MemorySource()
+    with (
+        WebClient(create_app(MapService(Settings(), Ports(first)))) as one,
+        WebClient(create_app(MapService(Settings(), Ports(second)))) as two,
+    ):
+        first.put("robot", "front", payload_at())
+        one.post("/v1/flush")
+        two.post("/v1/flush")
+        assert one.get("/v1/status").json()["scans_integrated"] == 1
+        assert two.get("/v1/status").json()["scans_integrated"] == 0
