@@ -105,10 +105,7 @@ def read_points(path: Path) -> NDArray[np.float64]:
         InvalidQueryError: the file cannot be read as points.
     """
     try:
-        if path.suffix.lower() == ".npy":
-            points = np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
-        else:
-            points = _read_csv(path)
+        points = _read_npy(path) if path.suffix.lower() == ".npy" else _read_csv(path)
     except OSError as error:
         message = f"cannot read {path}: {error.strerror or error}"
         raise InvalidQueryError(message) from error
@@ -119,6 +116,16 @@ def read_points(path: Path) -> NDArray[np.float64]:
         message = f"{path} has shape {points.shape}; expected (N, 2), x and y in m"
         raise InvalidQueryError(message)
     return points
+
+
+def _read_npy(path: Path) -> NDArray[np.float64]:
+    try:
+        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float64)
+    except (OSError, ValueError, EOFError):
+        raise
+    except Exception as error:  # numpy parses headers as Python, and lets its errors through
+        message = f"its header cannot be parsed ({type(error).__name__})"
+        raise ValueError(message) from error
 
 
 def _read_csv(path: Path) -> NDArray[np.float64]:

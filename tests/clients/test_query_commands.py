@@ -71,6 +71,7 @@ def test_answers_go_to_a_csv_file(fake, tmp_path, capsys):
         ("a.csv", b"1,b\n", "no points"),
         ("a.npy", b"junk", "no points"),
         ("a.npy", b"", "no points"),
+        ("a.npy", b"\x93NUMPY\x01\x00\x07\x00{[]: 1}", "header cannot be parsed"),
         ("none.csv", None, "No such file"),
     ],
 )
