@@ -335,10 +335,13 @@ def grid_shape(bbox: Bounds, resolution_m: float) -> tuple[int, int]:
         InvalidQueryError: as `Snapshot.grid`.
     """
     try:
-        box, cell_m = np.asarray(bbox, np.float64), float(resolution_m)
-    except (TypeError, ValueError, OverflowError) as error:
-        message = f"bbox {bbox!r} and resolution {resolution_m!r} are not numbers: {error}"
-        raise InvalidQueryError(message) from None
+        numbers = np.asarray((*bbox, resolution_m))
+    except (TypeError, ValueError):
+        numbers = np.empty(0, object)
+    if numbers.dtype.kind not in "iuf":  # text that looks like a number is none
+        message = f"bbox {bbox!r} and resolution {resolution_m!r} are not all numbers"
+        raise InvalidQueryError(message)
+    box, cell_m = numbers[:-1].astype(np.float64), float(numbers[-1])
     if box.shape != (4,) or not np.isfinite(box).all() or (box[:2] >= box[2:]).any():
         raise InvalidQueryError(
             f"bbox {bbox!r} must be xmin, ymin, xmax, ymax in metres with min < max"
