@@ -9,7 +9,6 @@ from typing import Protocol
 
 import threadpoolctl
 
-from gpom_core.link import Link
 from gpom_core.mapper import Mapper
 from service.archive import Archive
 from service.clock import Clock, SystemClock
@@ -208,9 +207,8 @@ class MapService:
             mapper.adopt(link)
         tail = journal.replay(position, journal.position)
         self._mapping.resume(
-            mapper, position, tail, saver=self._saver, helpers=helpers, cores=cores,
-            calibrate=mapper.snapshot().link == Link(),
-        )  # fmt: skip
+            mapper, position, tail, saver=self._saver, helpers=helpers, cores=cores
+        )
         self._ingest.resume()
         self._received_before = sum(robot.scans for robot in self.fleet.robots())
 

@@ -14,6 +14,7 @@ from functools import partial
 
 from gpom_core.config import MapConfig
 from gpom_core.errors import InvalidScanError
+from gpom_core.link import Link
 from gpom_core.mapper import Mapper
 from gpom_core.snapshot import Snapshot
 from service.clock import Clock
@@ -98,7 +99,6 @@ class MapKeeper:
         self._position = 0  # in the journal, of the last scan that was handed over
         self._tail: Tail | None = None
         self._restored: Future[None] | None = None
-        self._calibrates = True
         self._helpers: ThreadPoolExecutor | None = None
         self._saver: Saver | None = None
         self._new_training = partial(
@@ -127,7 +127,6 @@ class MapKeeper:
         saver: "Saver",
         helpers: ThreadPoolExecutor,
         cores: int,
-        calibrate: bool,
     ) -> None:
         """Go on from a checkpoint and the scans stored since; to be called before `begin`.
 
@@ -138,10 +137,8 @@ class MapKeeper:
             saver: is offered the map after every step.
             helpers: train and calibrate until then, with nobody to give way to.
             cores: as many as there are helpers.
-            calibrate: before it answers, as no link is known that was fitted to this map.
         """
         self._adopt(mapper)
-        self._calibrates = calibrate
         self._tail, self._saver = Tail(tail, position, self._beams_max), saver
         self._position = position
         self._helpers = helpers
@@ -303,7 +300,8 @@ class MapKeeper:
         if not tail.held_any:
             return self._training.idle
         if self._restored is None:
-            self._restored = self.flush(self._settled_ticket, calibrates=self._calibrates)
+            unknown = self._mapper.snapshot().link == Link()  # none was ever fitted to this map
+            self._restored = self.flush(self._settled_ticket, calibrates=unknown)
         return self._restored.done()
 
     def _poke(self) -> None:
