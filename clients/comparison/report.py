@@ -3,21 +3,22 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from clients.comparison.study import FAR_M, SCORES, Result, Round, Spread
+from clients.comparison.places import PLACES
+from clients.comparison.study import SCORES, Result, Round, Spread, There
 from clients.comparison.targets import verdicts
 
 _HEADING = (
-    "Mean of {draws} draws of the held-out test points, ± their standard deviation for AUC and "
-    "NLL. Far: NLL at points more than {far_m:g} m from every training beam."
+    "Mean of {draws} draws of the held-out test points, ± their standard deviation for AUC and NLL."
 )
 _HEADS = ("AUC", "NLL", "Brier", "ECE", "unknown")
+_THERE = ("points a draw", "occupied", "predicted", "AUC", "NLL", "ECE", "unknown")
 _COSTS = ("log", "share", "method", "built in, s", "points/s", "MB")
 
 
 def as_dict(rounds: Sequence[Round], missing: dict[str, str]) -> dict[str, object]:
     """Everything that was measured, ready for JSON."""
     return {
-        "far_m": FAR_M,
+        "places": PLACES,
         "missing": missing,
         "rounds": [
             {
@@ -25,7 +26,6 @@ def as_dict(rounds: Sequence[Round], missing: dict[str, str]) -> dict[str, objec
                 "share": str(one.share),
                 "training_scans": one.training_scans,
                 "draws": one.draws,
-                "far_points": one.far_points,
                 "methods": {result.method: _result(result) for result in one.results},
             }
             for one in rounds
@@ -35,17 +35,27 @@ def as_dict(rounds: Sequence[Round], missing: dict[str, str]) -> dict[str, objec
 
 
 def as_markdown(rounds: Sequence[Round], missing: dict[str, str]) -> str:
-    """Three tables: the scores, what they cost, and the targets."""
+    """Four tables: the scores, the scores by place, what they cost, and the targets."""
     lines = [
-        _HEADING.format(draws=rounds[0].draws if rounds else 0, far_m=FAR_M),
+        _HEADING.format(draws=rounds[0].draws if rounds else 0),
         "",
-        _row("log", "share", "method", *_HEADS, "far NLL"),
-        _row(*["---"] * 9),
+        _row("log", "share", "method", *_HEADS),
+        _row(*["---"] * (3 + len(_HEADS))),
     ]
     lines += [
         _row(one.log, str(one.share), result.method, *_cells(result))
         for one in rounds
         for result in one.results
+    ]
+    meaning = "; ".join(f"*{name}*: {what}" for name, what in PLACES.items())
+    lines += ["", f"By place, all draws together. {meaning}.", ""]
+    lines += [_row("log", "share", "place", "method", *_THERE), _row(*["---"] * (4 + len(_THERE)))]
+    lines += [
+        _row(one.log, str(one.share), place, result.method, *_there(result.there[place]))
+        for one in rounds
+        for place in PLACES
+        for result in one.results
+        if place in result.there
     ]
     lines += ["", _row(*_COSTS), _row(*["---"] * len(_COSTS))]
     lines += [
@@ -70,10 +80,17 @@ def as_markdown(rounds: Sequence[Round], missing: dict[str, str]) -> str:
 
 def _cells(result: Result) -> list[str]:
     s = result.scores
-    far = "" if result.far is None else _both(result.far["nll"], 3)
     return [
         _both(s["auc"], 4), _both(s["nll"], 4), f"{s['brier'].mean:.4f}",
-        f"{s['ece'].mean:.4f}", f"{s['share_unknown'].mean:.4f}", far,
+        f"{s['ece'].mean:.4f}", f"{s['share_unknown'].mean:.4f}",
+    ]  # fmt: skip
+
+
+def _there(there: There) -> list[str]:
+    return [
+        f"{there.points:.0f}", f"{there.occupied:.3f}", f"{there.predicted:.3f}",
+        "" if there.auc is None else f"{there.auc:.3f}", f"{there.nll:.3f}", f"{there.ece:.3f}",
+        f"{there.share_unknown:.3f}",
     ]  # fmt: skip
 
 
@@ -95,10 +112,9 @@ def _row(*cells: str) -> str:
 
 
 def _result(result: Result) -> dict[str, object]:
-    far = result.far
     return {
         **result.facts,
         **{name: asdict(result.scores[name]) for name in SCORES},
-        "far": None if far is None else {name: asdict(far[name]) for name in SCORES},
+        "places": {place: asdict(there) for place, there in result.there.items()},
         "reliability": result.reliability.as_dict(),
     }

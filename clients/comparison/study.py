@@ -8,23 +8,31 @@ from time import perf_counter
 import numpy as np
 
 from clients.comparison.peers import peers
+from clients.comparison.places import places
 from clients.contenders import Contender, chosen_grids, gpom_map, log_odds_grids
 from clients.protocol import (
     Bools,
     Floats,
     LabelledPoints,
-    far_from_beams,
     labelled_points,
     split,
     thin,
 )
 from gpom_core.config import MapConfig
 from gpom_core.errors import ConfigurationError
-from gpom_core.metrics import ReliabilityCurve, reliability_curve, score
+from gpom_core.metrics import (
+    ReliabilityCurve,
+    brier,
+    expected_calibration_error,
+    negative_log_likelihood,
+    reliability_curve,
+    roc_auc,
+    score,
+)
 from gpom_core.scan import Scan
 
-FAR_M = 0.5
 SCORES = ("auc", "nll", "brier", "ece", "share_unknown")
+FEWEST = 50  # points of a place in a draw, on average; fewer say nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,37 +43,52 @@ class Spread:
     std: float
 
 
+@dataclass(frozen=True, slots=True)
+class There:
+    """One method at the test points of one place, of all draws together.
+
+    Attributes:
+        points: per draw, on average.
+        occupied: share of them. predicted: their mean probability.
+        auc: None where all are occupied, or none.
+    """
+
+    points: float
+    occupied: float
+    predicted: float
+    auc: float | None
+    nll: float
+    brier: float
+    ece: float
+    share_unknown: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """One method on one log from one share of its training scans.
 
     Attributes:
         scores: by name, at all test points.
-        far: the same at points farther than FAR_M from every training beam; None without enough.
+        there: by place, where there are FEWEST points or more.
         reliability: at the points of all draws.
         facts: what building cost.
     """
 
     method: str
     scores: Mapping[str, Spread]
-    far: Mapping[str, Spread] | None
+    there: Mapping[str, There]
     reliability: ReliabilityCurve
     facts: Mapping[str, object]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Round:
-    """All methods on one log from one share of its training scans.
-
-    Attributes:
-        far_points: mean number per draw.
-    """
+    """All methods on one log from one share of its training scans."""
 
     log: str
     share: Fraction
     training_scans: int
     draws: int
-    far_points: float
     results: tuple[Result, ...]
 
     def of(self, method: str) -> Result:
@@ -99,7 +122,11 @@ def play(
             "draw or more, of hits and passing beams: the log needs six scans or more"
         )
     points = np.concatenate([test.points for test in tests])
-    far = np.split(far_from_beams(points, training, FAR_M), len(tests))
+    where = {
+        place: mask
+        for place, mask in places(points, training).items()
+        if mask.sum() >= FEWEST * draws
+    }
     contenders = gpom_map(training, config=config, uncalibrated=True)
     contenders += chosen_grids(training)
     if with_peers:
@@ -111,13 +138,15 @@ def play(
         share=share,
         training_scans=len(training),
         draws=draws,
-        far_points=float(np.mean([mask.sum() for mask in far])),
-        results=tuple(_scored(contender, points, tests, far) for contender in contenders),
+        results=tuple(_scored(contender, points, tests, where) for contender in contenders),
     )
 
 
 def _scored(
-    contender: Contender, points: Floats, tests: Sequence[LabelledPoints], far: Sequence[Bools]
+    contender: Contender,
+    points: Floats,
+    tests: Sequence[LabelledPoints],
+    where: Mapping[str, Bools],
 ) -> Result:
     started = perf_counter()
     probability, known = contender.predict(points)
@@ -129,13 +158,13 @@ def _scored(
             np.split(known, len(tests)), strict=True,
         )
     )  # fmt: skip
-    # A draw without both kinds of label has no AUC; such far points are too few to compare.
-    far_parts = [(p[mask], y[mask], k[mask]) for (p, y, k), mask in zip(parts, far, strict=True)]
-    mixed = all(y.any() and not y.all() for _, y, _ in far_parts)
     return Result(
         method=contender.name,
         scores=_spread(parts),
-        far=_spread(far_parts) if mixed else None,
+        there={
+            place: _at_place(probability[mask], occupied[mask], known[mask], len(tests))
+            for place, mask in where.items()
+        },
         reliability=reliability_curve(probability, occupied),
         facts={**contender.facts, "query_us": round(query_us, 2)},
     )
@@ -149,3 +178,17 @@ def _spread(parts: Sequence[tuple[Floats, Bools, Bools]]) -> dict[str, Spread]:
         )
         for name in SCORES
     }
+
+
+def _at_place(probability: Floats, occupied: Bools, known: Bools, draws: int) -> There:
+    mixed = occupied.any() and not occupied.all()
+    return There(
+        points=len(occupied) / draws,
+        occupied=float(occupied.mean()),
+        predicted=float(probability.mean()),
+        auc=roc_auc(probability, occupied) if mixed else None,
+        nll=negative_log_likelihood(probability, occupied),
+        brier=brier(probability, occupied),
+        ece=expected_calibration_error(probability, occupied),
+        share_unknown=float(1.0 - known.mean()),
+    )

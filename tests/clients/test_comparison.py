@@ -9,13 +9,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from clients.comparison import peers
+from clients.comparison import peers, study
 from clients.comparison.command import compare
+from clients.comparison.places import AT, BEFORE, BEHIND, FAR, OPEN, places
 from clients.comparison.study import SCORES, Result, Round, Spread, play
 from clients.comparison.targets import ALL, GRID, MAP, TENTH, THIRD, TUNED_GRID, verdicts
 from clients.protocol import labelled_points, split
 from gpom_core.errors import ConfigurationError
 from gpom_core.metrics import reliability_curve
+from gpom_core.scan import Pose2D, Scan
 from tests.clients.rooms import room_log, room_scan
 
 SCANS = [room_scan(index) for index in range(24)]
@@ -24,7 +26,7 @@ CURVE = reliability_curve(np.array([0.1, 0.9]), np.array([False, True]))
 
 def result(method: str, **scores: float) -> Result:
     spread = {name: Spread(scores.get(name, 0.0), 0.0) for name in SCORES}
-    return Result(method, spread, None, CURVE, {})
+    return Result(method, spread, {}, CURVE, {})
 
 
 def one_round(share: Fraction, nll: float, grid_nll: float, ece: float = 0.01) -> Round:
@@ -33,7 +35,7 @@ def one_round(share: Fraction, nll: float, grid_nll: float, ece: float = 0.01) -
         result(GRID, nll=grid_nll, auc=0.98),
         result(TUNED_GRID, nll=grid_nll, auc=0.98),
     )
-    return Round("site", share, 100, 1, 0.0, results)
+    return Round("site", share, 100, 1, results)
 
 
 def test_all_methods_answer_the_same_points() -> None:
@@ -49,6 +51,43 @@ def test_all_methods_answer_the_same_points() -> None:
 def test_a_log_without_held_out_scans_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="six scans"):
         play("short", SCANS[:4], Fraction(1), draws=1, with_peers=False)
+
+
+def test_every_point_is_in_one_place() -> None:
+    """A wall 4 m ahead, seen from the origin by 21 beams within half a metre of the axis."""
+    angle = np.linspace(-0.125, 0.125, 21)
+    wall = Scan(Pose2D(0.0, 0.0, 0.0), 4.0 / np.cos(angle), angle[0], angle[1] - angle[0], 0.1, 9.0)
+    at = {
+        AT: [3.95, 0.0], BEFORE: [3.7, 0.1], BEHIND: [4.3, 0.1], OPEN: [2.0, 0.0], FAR: [4.7, 0.0],
+    }  # fmt: skip
+    found = places(np.array(list(at.values())), [wall])
+    assert {place: mask.tolist() for place, mask in found.items()} == {
+        place: [place == other for other in at] for place in at
+    }
+    nothing = places(np.zeros((3, 2)), [])
+    assert nothing[FAR].all()
+    assert sum(mask.sum() for mask in nothing.values()) == 3
+
+
+def test_places_are_scored_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(study, "FEWEST", 1)
+    one = play("room", SCANS, Fraction(1), draws=2, with_peers=False)
+    points = len(labelled_points(split(SCANS)[1], seed=0))
+    for method in one.results:
+        assert sum(there.points for there in method.there.values()) == points
+        at, opened = method.there[AT], method.there[OPEN]
+        assert at.occupied > 0.9 > 0.1 > opened.occupied
+        assert at.predicted > 0.5 > opened.predicted
+        assert opened.auc is None
+        for name in ("nll", "brier", "share_unknown"):
+            parts = [getattr(there, name) * there.points for there in method.there.values()]
+            assert sum(parts) / points == pytest.approx(method.scores[name].mean, abs=1e-12)
+
+
+def test_places_of_few_points_are_left_out() -> None:
+    one = play("room", SCANS, Fraction(1), draws=2, with_peers=False)
+    assert all(there.points >= study.FEWEST for r in one.results for there in r.there.values())
+    assert all(BEFORE not in r.there for r in one.results)
 
 
 def test_promises_are_judged_as_stated() -> None:
@@ -99,6 +138,8 @@ def test_the_command_writes_tables_and_figures(tmp_path: Path) -> None:
     document = json.loads((out / "comparison.json").read_text())
     assert [one["share"] for one in document["rounds"]] == ["1", "1/10"]
     assert document["rounds"][0]["methods"][MAP]["nll"]["mean"] < 0.3
+    assert document["rounds"][0]["methods"][MAP]["places"][AT]["nll"] < 0.3
+    assert f"| room | 1 | {AT} | {MAP} |" in done.stdout
     assert (out / "comparison.md").read_text() == done.stdout
     pytest.importorskip("matplotlib")
     for name in ("learning_curves.png", "reliability.png"):
