@@ -193,6 +193,7 @@ class DiskStore(MemoryStore):
         path: of the file, made if there is none.
         stream: whose scans they are; a file of another stream is refused.
         boot: of the run, if the file is new.
+        patience_s: how long another publisher, which may be about to end, has to let go of it.
 
     Raises:
         OutboxStorageError: the file is damaged, in use, or of another stream.
@@ -200,11 +201,13 @@ class DiskStore(MemoryStore):
 
     __slots__ = ("_db", "_path")
 
-    def __init__(self, path: Path, stream: str, boot: int) -> None:
+    def __init__(self, path: Path, stream: str, boot: int, patience_s: float = 5.0) -> None:
         super().__init__(boot)
         self._path = path
         try:
-            self._db = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+            self._db = sqlite3.connect(
+                path, timeout=patience_s, isolation_level=None, check_same_thread=False
+            )
             try:
                 self._open(stream, boot)
             except BaseException:

@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -67,13 +68,24 @@ def test_files_of_others_in_use_and_damaged_are_refused(tmp_path):
     store = DiskStore(path, "r/s", 1)
     store.add(b"x")
     with pytest.raises(OutboxStorageError, match="another publisher"):
-        DiskStore(path, "r/s", 1)
+        DiskStore(path, "r/s", 1, patience_s=0.05)
     store.close()
     with pytest.raises(OutboxStorageError, match="holds scans of r/s, not of other/s"):
         DiskStore(path, "other/s", 1)
     path.write_bytes(b"no database at all, and long enough to be read as one" * 10)
     with pytest.raises(OutboxStorageError, match="damaged"):
         DiskStore(path, "r/s", 1)
+
+
+def test_who_is_about_to_let_go_of_the_file_is_waited_for(tmp_path):
+    store = DiskStore(tmp_path / "o", "r/s", 1)
+    store.add(b"x")
+    ending = threading.Timer(0.1, store.close)
+    ending.start()
+    after = DiskStore(tmp_path / "o", "r/s", 2)
+    ending.join()
+    assert (after.boot, payloads(after)) == (1, [b"x"])
+    after.close()
 
 
 @pytest.mark.parametrize(
@@ -86,6 +98,7 @@ def test_settings_are_checked(wrong):
 
 _WRITER = """
 import sys
+import threading
 from pathlib import Path
 from clients.outbox import DiskStore
 store = DiskStore(Path(sys.argv[1]), "r/s", 1)
