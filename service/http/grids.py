@@ -1,7 +1,9 @@
 """Rasters: GET /v1/grid."""
 
 import asyncio
+from decimal import ROUND_FLOOR, Context
 from math import inf
+from sys import float_info
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Query, Response
@@ -18,6 +20,7 @@ from service.raster_store import Raster
 router = APIRouter(tags=["raster"])
 
 MAX_AGE_S = 60.0
+_DIGITS = Context(prec=3, rounding=ROUND_FLOOR)
 
 Format = Literal["png", "npy", "nav2"]
 _MEDIA: dict[Format, str] = {"png": "image/png", "npy": NPY, "nav2": "application/zip"}
@@ -76,7 +79,7 @@ async def grid(  # noqa: PLR0913, PLR0917 - every parameter of the URL is an arg
         raise InvalidQueryError(message)
     snapshot = service.state.snapshot
     box = _bounds(bbox, snapshot)
-    _check_size(box, resolution, service.settings.http.grid_cells_max)
+    check_size(box, resolution, service.settings.http.grid_cells_max)
 
     def draw() -> bytes:
         cells = piecewise.grid(snapshot, box, resolution, fusion, service.queries.check, method)
@@ -109,7 +112,13 @@ def _bounds(text: str | None, snapshot: Snapshot) -> Bounds:
     return xmin, ymin, xmax, ymax
 
 
-def _check_size(box: Bounds, resolution_m: float, cells_max: int) -> None:
+def check_size(box: Bounds, resolution_m: float, cells_max: int) -> None:
+    """Refuse a raster of too many cells.
+
+    Raises:
+        PayloadTooLargeError: it says what is allowed, and which resolution would be.
+        InvalidQueryError: as `Snapshot.grid`.
+    """
     rows: float
     columns: float
     try:
@@ -122,9 +131,28 @@ def _check_size(box: Bounds, resolution_m: float, cells_max: int) -> None:
         if not (min(columns, rows) > 0.0 and cells_max < columns * rows < inf):
             raise
     if rows * columns > cells_max:
-        coarser_m = resolution_m * (rows * columns / cells_max) ** 0.5
         message = (
             f"{columns:.0f} x {rows:.0f} cells; at most {cells_max} are allowed: ask for a smaller "
-            f"bbox or a resolution from {coarser_m:.3g} m"
+            f"bbox or a resolution from {_finest(box, cells_max)} m"
         )
         raise PayloadTooLargeError(message)
+
+
+def _finest(box: Bounds, cells_max: int) -> str:
+    """The finest resolution in m, of three digits, that is allowed: rounded, it might not be."""
+    width_m, height_m = box[2] - box[0], box[3] - box[1]
+    area = (width_m / cells_max) ** 0.5 * height_m**0.5
+    # No raster of less is allowed; one of that may be not, for its last row and column.
+    least = max(area, width_m / cells_max, height_m / cells_max, float_info.min)
+    told = _DIGITS.create_decimal_from_float(least)
+    while not _is_allowed(box, float(told), cells_max):
+        told = _DIGITS.next_plus(told)
+    return f"{float(told):.3g}".replace("e+", "e")  # in a URL + is a blank
+
+
+def _is_allowed(box: Bounds, resolution_m: float, cells_max: int) -> bool:
+    try:
+        rows, columns = grid_shape(box, resolution_m)
+    except InvalidQueryError:  # more than any raster may have
+        return False
+    return rows * columns <= cells_max
