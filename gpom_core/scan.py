@@ -46,7 +46,7 @@ class Scan:
 
     Attributes:
         pose: sensor in the map frame.
-        ranges_m: (n,) float32, one per beam, as REP 117.
+        ranges_m: (n,) float32, one per beam, as REP 117. What is masked becomes ``NaN``.
         angle_min_rad: direction of the first beam in the frame of the sensor.
         angle_increment_rad: from beam to beam; negative for a scanner mounted upside down.
         range_min_m: nearest range that counts as a hit.
@@ -128,6 +128,8 @@ def _coerce(scan: Scan) -> None:
 
 
 def _read_only_float32(values: ArrayLike) -> NDArray[np.float32]:
+    if isinstance(values, np.ma.MaskedArray):  # else numpy would take what is under the mask
+        values = np.where(np.ma.getmaskarray(values), np.nan, values.data)
     source = np.asarray(values)
     flags = source.flags
     if source.dtype == np.float32 and flags.c_contiguous and flags.aligned and not flags.writeable:

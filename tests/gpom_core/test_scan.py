@@ -104,6 +104,21 @@ def test_a_range_too_large_for_float32_is_invalid_not_free() -> None:
     assert scan.no_returns().tolist() == [False, True]
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int32])
+def test_a_masked_reading_is_invalid(kind: type) -> None:
+    given = np.ma.masked_equal(np.array([1, 9, 3], dtype=kind), 9)
+    given.flags.writeable = False
+    unmasked = np.ma.masked_array(np.array([1, 9, 3], dtype=kind))
+    scan = make_scan(ranges_m=given, intensities=given)
+
+    assert scan.hits().tolist() == [True, False, True]
+    assert scan.intensities is not None
+    for values in (scan.ranges_m, scan.intensities):
+        assert type(values) is np.ndarray
+        np.testing.assert_array_equal(values, [1.0, NAN, 3.0])
+    np.testing.assert_array_equal(make_scan(ranges_m=unmasked).ranges_m, [1.0, 9.0, 3.0])
+
+
 def test_a_scan_survives_pickling() -> None:
     scan = pickle.loads(pickle.dumps(make_scan(seq=3)))
 
