@@ -7,8 +7,9 @@ Rooms, from the ground up; each may use those above it in this list, and gpom_co
    fleet_frames: where their sensors are. outbox: where scans wait. receipts: who hears what became
    of them. log_reader: what a reader of logs offers.
    world: geometry of simulated sites. answers: what the map service answers.
-3. link: a zenoh session and one stream on it. carmen, bags: formats of logs. building: a furnished
-   site. sensor: a simulated scanner. calls: the HTTP interface as values.
+3. link: a zenoh session and one stream on it. cursors: how far the map has it. carmen, bags:
+   formats of logs. building: a furnished site. sensor: a simulated scanner. calls: the HTTP
+   interface as values.
 4. reliable: what is not stored is sent again. publisher: numbered scans of one sensor.
    logs: whatever the format. motion: how robots drive. map_client: asks the map, blocking or not.
 5. simulate: robots that drive and scan. protocol: how accuracy is measured. dispatch: scans sent

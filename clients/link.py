@@ -203,6 +203,8 @@ class ScanLink:
             self._changed.notify_all()
 
     def _on_presence(self, sample: zenoh.Sample) -> None:
+        if str(sample.key_expr) != self._keys.map_alive:
+            return  # a token on a key with wildcards; it says nothing of the map
         with self._changed:
             self._map_alive = sample.kind == zenoh.SampleKind.PUT
             self._changed.notify_all()

@@ -6,18 +6,17 @@ twice does no harm.
 """
 
 import logging
-import struct
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
-from enum import Enum
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Self
 
 import zenoh
 
+from clients.cursors import ASK_TIMEOUT_S, Cursor, Cursors, Unknown
 from clients.errors import (
     DeliveryError,
     OutboxFullError,
@@ -30,27 +29,11 @@ from clients.outbox import DiskStore, MemoryStore, OutboxSettings, Store
 from clients.receipts import Receipts, settled
 from gpom_core.wire import renumber
 
-_CURSOR = struct.Struct("<QQ")
-_ASK_TIMEOUT_S = 2.0
 _TELL_TIMEOUT_S = 3.0
 _RETRY_S = 0.2
 _STUCK_S = 10.0
 
 _logger = logging.getLogger(__name__)
-
-
-class Cursor(NamedTuple):
-    """The last scan of a stream that the map has stored."""
-
-    boot: int
-    seq: int
-
-
-class Unknown(Enum):
-    """What a map may say instead of a cursor."""
-
-    STREAM = "the map does not know the stream"
-    MAP = "no map answered"
 
 
 class ReliableLink:
@@ -73,7 +56,6 @@ class ReliableLink:
         settings: OutboxSettings,
         on_durable: Callable[[int], None] | None = None,
     ) -> None:
-        self._session = session
         self._keys = keys
         self._settings = settings
         self._store: Store = (
@@ -92,7 +74,7 @@ class ReliableLink:
         self._closing = False
         self._changed = threading.Condition()
         self._link = ScanLink(session, keys)
-        self._subscriber = session.declare_subscriber(keys.ack, self._on_ack)
+        self._cursors = Cursors(session, keys, self._on_ack)
         before, dropped = self._store.front - 1, self._store.dropped()
         self._receipts = Receipts(keys.scan, before, dropped, on_durable=on_durable)
         self._thread = threading.Thread(target=self._run, name=f"gpom-outbox-{keys.robot}")
@@ -197,9 +179,9 @@ class ReliableLink:
         with self._changed:
             self._closing = True
             self._changed.notify_all()
-        self._subscriber.undeclare()  # type: ignore[no-untyped-call] # the stub gives no result type
+        self._cursors.close()
         self._link.close()
-        self._thread.join(_ASK_TIMEOUT_S + 1.0)
+        self._thread.join(ASK_TIMEOUT_S + 1.0)
         with self._changed:
             self._store.close()
             message = f"the publisher of {self._keys.scan} was closed before it was stored"
@@ -258,12 +240,10 @@ class ReliableLink:
         if refusal is not None:
             raise refusal
 
-    def _on_ack(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()
-        if len(payload) == _CURSOR.size:
-            with self._changed:
-                self._acks.append(Cursor(*_CURSOR.unpack(payload)))
-                self._changed.notify_all()
+    def _on_ack(self, cursor: Cursor) -> None:
+        with self._changed:
+            self._acks.append(cursor)
+            self._changed.notify_all()
 
     def _run(self) -> None:
         while True:
@@ -336,7 +316,7 @@ class ReliableLink:
         if not self._link.ready:
             time.sleep(0.02)
             return
-        answer = self._ask()
+        answer = self._cursors.ask()
         with self._changed:
             if answer is Unknown.MAP or self._over():
                 return
@@ -351,22 +331,6 @@ class ReliableLink:
                 self._restart(self._store.boot + 1)
             self._next, self._synced = 0, True
             self._progress_s = time.monotonic()
-
-    def _ask(self) -> "Cursor | Unknown":
-        try:
-            replies = self._session.get(
-                self._keys.cursor,
-                consolidation=zenoh.ConsolidationMode.NONE,
-                timeout=_ASK_TIMEOUT_S,
-            )
-            for reply in replies:
-                if reply.ok is not None:
-                    payload = reply.ok.payload.to_bytes()
-                    known = len(payload) == _CURSOR.size
-                    return Cursor(*_CURSOR.unpack(payload)) if known else Unknown.STREAM
-        except zenoh.ZError as error:
-            raise DeliveryError(f"cannot ask for {self._keys.cursor}: {error}") from error
-        return Unknown.MAP
 
     def _absorb(self, cursor: Cursor) -> None:
         """Take note of what is stored."""
