@@ -4,8 +4,10 @@ The environment speaks as ``GPOM_LOG_LEVEL=debug``, ``GPOM_HTTP__PORT=80`` or
 ``GPOM_ZENOH__CONNECT=tcp/10.0.0.1:7447,tcp/10.0.0.2:7447``; tables are JSON.
 """
 
+import json
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,7 @@ def load_settings(
     """
     from_file = {} if config is None else _read(config)
     _refuse_unknown_variables()
+    _refuse_twins_in_variables()
 
     class Sources(BaseSettings, Settings):
         model_config = SettingsConfigDict(
@@ -98,8 +101,19 @@ def _read(path: Path) -> dict[str, Any]:
     return content
 
 
+class _Loader(yaml.SafeLoader):
+    """PyYAML's, which leaves a date of month 13 to the error of whoever makes dates."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, LookupError, AttributeError) as error:
+            problem = f"what looks like a {node.tag.rpartition(':')[2]} is none"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=node.start_mark) from error
+
+
 def _load(path: Path) -> Any:
-    loader = yaml.SafeLoader(path.read_text(encoding="utf-8"))
+    loader = _Loader(path.read_text(encoding="utf-8"))
     try:
         root = loader.get_single_node()
         if root is None:
@@ -135,6 +149,27 @@ def _refuse_twins(root: yaml.Node, path: Path) -> None:
                     raise ConfigurationError(message)
                 lines[key.tag, key.value] = line
                 nodes.append((value, inside))
+
+
+def _refuse_twins_in_variables() -> None:
+    """Refuse the same in JSON, which would forget the first as well."""
+    for variable, value in os.environ.items():
+        if not variable.upper().startswith(ENV_PREFIX):
+            continue
+
+        def once(pairs: list[tuple[str, Any]], variable: str = variable) -> dict[str, Any]:
+            table = dict(pairs)
+            if len(table) < len(pairs):
+                names = [name for name, _ in pairs]
+                twin = next(name for name in names if names.count(name) > 1)
+                message = (
+                    f"the environment variable {variable} has {twin!r} twice: make one of them"
+                )
+                raise ConfigurationError(message)
+            return table
+
+        with suppress(ValueError):  # text, or refused where it should be JSON
+            json.loads(value, object_pairs_hook=once)
 
 
 def _refuse_unknown_variables() -> None:

@@ -80,6 +80,32 @@ def test_a_file_with_unknown_settings_is_refused(tmp_path: Path) -> None:
         read_config(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("map: {cell_m: 0.1}\nmap: {}\n", "has 'map' twice, in lines 1 and 2: make one of them"),
+        ("map:\n  cell_m: 0.1\n  cell_m: 0.2\n", "has 'cell_m' twice, in lines 2 and 3"),
+        ("map: {cell_m: 2026-13-45}", "holds no settings of a map under the key `map`: month must"),
+        ("map: {cell_m: !!bool x}", "holds no settings of a map under the key `map`: 'x'"),
+        ("map: {cell_m: \xff}", "holds no settings of a map under the key `map`: 'utf-8'"),
+    ],
+)
+def test_a_file_that_contradicts_itself_is_refused(
+    tmp_path: Path, text: str, expected: str
+) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text, encoding="latin-1")
+    with pytest.raises(ConfigurationError) as caught:
+        read_config(path)
+    assert str(caught.value).startswith(f"{path} {expected}")
+
+
+def test_what_a_file_merges_is_not_twice(tmp_path: Path) -> None:
+    path = tmp_path / "merged.yaml"
+    path.write_text("x: &x {cell_m: 0.1, hit_noise_std: 0.3}\nmap: {<<: *x, cell_m: 0.2}\n")
+    assert read_config(path) == MapConfig(cell_m=0.2, hit_noise_std=0.3)
+
+
 def test_the_command_prints_and_writes_the_best(tmp_path: Path) -> None:
     log, out = room_log(tmp_path / "room.log", SCANS), tmp_path / "best.yaml"
     app = typer.Typer()

@@ -115,6 +115,45 @@ def test_a_name_may_be_there_once_only(tmp_path: Path, text: str, expected: str)
     assert "hunter2" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("variable", "value", "name"),
+    [
+        ("GPOM_HTTP", '{"port": 1, "host": "hunter2", "port": 2}', "port"),
+        ("GPOM_ZENOH__OPTIONS", '{"a": [{"b": "hunter2", "b": 1}]}', "b"),
+        ("gpom_map", '{"cell_m": 0.1, "cell_m": 0.2}', "cell_m"),
+    ],
+)
+def test_a_name_may_be_in_a_variable_once_only(
+    monkeypatch: pytest.MonkeyPatch, variable: str, value: str, name: str
+) -> None:
+    monkeypatch.setenv(variable, value)
+    expected = f"environment variable {variable} has '{name}' twice"
+    with pytest.raises(ConfigurationError, match=expected) as caught:
+        load_settings()
+    assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("value", "kind"),
+    [
+        ("2026-13-45", "timestamp"),
+        ("2026-01-01T99:00:00", "timestamp"),
+        ("!!timestamp hunter2", "timestamp"),
+        ("!!int hunter2", "int"),
+        ("!!float hunter2", "float"),
+        ("!!bool hunter2", "bool"),
+    ],
+)
+def test_a_value_that_is_not_what_it_looks_like_is_named(
+    tmp_path: Path, value: str, kind: str
+) -> None:
+    path = _file(tmp_path, f"log_level: info\ndata_dir: {value}\n")
+    expected = f"{path} is not YAML: what looks like a {kind} is none in line 2, column 11"
+    with pytest.raises(ConfigurationError, match=re.escape(expected)) as caught:
+        load_settings(path)
+    assert "hunter2" not in str(caught.value)
+
+
 def test_what_is_written_once_and_meant_twice_is_no_mistake(tmp_path: Path) -> None:
     text = "http: &ours {port: 5, host: a}\nzenoh: {options: {x: &y {z: 1}, w: *y}}\n"
     assert load_settings(_file(tmp_path, text)).zenoh.options == {"x": {"z": 1}, "w": {"z": 1}}
