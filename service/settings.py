@@ -72,6 +72,13 @@ class HttpSettings(_Section):
         description="a body of which nothing comes for so long, or after so long less than "
         "1000 bytes/s, is refused: 408",
     )
+    head_timeout_s: float = Field(
+        30.0,
+        gt=0.0,
+        le=_LONGEST_S,
+        description="a connection on which the head of a request is not whole after so long is "
+        "closed",
+    )
     query_threads: int = Field(
         2, ge=1, le=_THREADS_MAX, description="heavy queries answered at once"
     )

@@ -70,13 +70,20 @@ def _events(response: httpx.Response):
             yield name, json.loads(line.removeprefix("data: "))
 
 
-def _half_sent(url: str, path: str) -> socket.socket:
-    """Post a body of which only the first byte comes, once the service waits for it."""
+def _begun(url: str, head: bytes) -> socket.socket:
+    """Connect, and send a part of a head."""
     address = urlsplit(url)
     client = socket.create_connection((address.hostname, address.port), timeout=30.0)
-    client.sendall(
+    client.sendall(head)
+    return client
+
+
+def _half_sent(url: str, path: str) -> socket.socket:
+    """Post a body of which only the first byte comes, once the service waits for it."""
+    client = _begun(
+        url,
         f"POST {path} HTTP/1.1\r\nHost: test\r\nContent-Type: {JSON}\r\nContent-Length: 100\r\n"
-        "Expect: 100-continue\r\n\r\n".encode()
+        "Expect: 100-continue\r\n\r\n".encode(),
     )
     assert _read_until(client, b"100 Continue\r\n\r\n")
     client.sendall(b"{")
@@ -105,7 +112,9 @@ def _read_until(client: socket.socket, end: bytes) -> bytes:
 
 def test_an_interrupt_ends_it_cleanly_with_streams_and_uploads_open(monkeypatch) -> None:
     monkeypatch.setenv("GPOM_HTTP__BODY_BYTES_MAX", "100000")
+    monkeypatch.setenv("GPOM_HTTP__HEAD_TIMEOUT_S", "3")
     with _running() as process:
+        silent = [_begun(process.url, head) for head in (b"", b"GET / HTTP/1.1\r\nHost: te")]
         ended = threading.Event()
 
         def listen() -> None:
@@ -122,6 +131,11 @@ def test_an_interrupt_ends_it_cleanly_with_streams_and_uploads_open(monkeypatch)
         for path in ("/v1/query", "/v1/flush"):
             _half_sent(process.url, path).close()
         uploads = [_half_sent(process.url, path) for path in ("/v1/query", "/v1/flush") * 2]
+        said = [_read_until(client, b"all of it") for client in silent]
+        assert [answer.partition(b"\r\n")[0] for answer in said] == [
+            b"",
+            b"HTTP/1.1 408 Request Timeout",
+        ]
         code, took_s, errors = process.end(signal.SIGINT)
         assert code == 0, errors
         assert took_s < 5.0
@@ -129,6 +143,8 @@ def test_an_interrupt_ends_it_cleanly_with_streams_and_uploads_open(monkeypatch)
         assert "level=ERROR" not in errors
         assert ended.wait(5.0), "the stream ended in an orderly way"
         listener.join()
+        for client in silent:
+            client.close()
         for upload in uploads:
             with upload:
                 answer = _read_until(upload, b"all of it")
