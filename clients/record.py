@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Event
 from typing import Annotated, Final, Self
@@ -52,6 +52,8 @@ _LATCHED = Qos(
 class BagRecorder:
     """A bag that is being written: ROS messages as they are, scans of gpom as scans and transforms.
 
+    Where nothing is written, there is no bag in the end, and no folder that was made for it.
+
     Args:
         path: of the folder to make.
 
@@ -62,6 +64,8 @@ class BagRecorder:
     def __init__(self, path: Path) -> None:
         if path.exists():
             raise ConfigurationError(f"{path} exists already; name a folder that does not")
+        self._path = path
+        self._made = [folder for folder in (path, *path.parents) if not folder.exists()]
         self._writer = Writer(path, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         try:
             self._writer.open()
@@ -75,6 +79,8 @@ class BagRecorder:
 
     def __exit__(self, *_: object) -> None:
         self._writer.close()
+        if not self.counts:
+            self._remove()
 
     def write(self, heard: Heard) -> None:
         """Add a message; a scan of gpom that cannot be read is left out."""
@@ -89,6 +95,13 @@ class BagRecorder:
                 self._connections[key] = connection
             self._writer.write(connection, heard.arrived_ns, payload)
             self.counts[topic] += 1
+
+    def _remove(self) -> None:
+        for name in (f"{self._path.name}.mcap", "metadata.yaml"):
+            (self._path / name).unlink(missing_ok=True)
+        with suppress(OSError):  # somebody else has put something there
+            for folder in self._made:
+                folder.rmdir()
 
 
 def record(
@@ -124,7 +137,9 @@ def record(
     if dropped:
         raise DeliveryError(f"{dropped} messages came faster than they could be written")
     if not bag.counts:
-        message = f"nobody published anything, so {folder} is empty; `gpom doctor` may tell why not"
+        message = (
+            f"nobody published anything, so there is no bag at {folder}; `gpom doctor` may tell why"
+        )
         raise DeliveryError(message)
 
 

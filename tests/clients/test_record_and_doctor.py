@@ -3,7 +3,7 @@
 import json
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 
 import pytest
 from rosbags.highlevel import AnyReader
@@ -161,8 +161,22 @@ def test_a_bag_is_never_written_over_and_never_silently_empty(router, tmp_path) 
         BagRecorder(tmp_path / "there")
     with pytest.raises(ConfigurationError, match="cannot write"):
         BagRecorder(tmp_path / "file" / "bag")
-    result = run("record", str(tmp_path / "bag"), "--seconds", "0.2", "--connect", router)
-    assert "nobody published anything" in str(result.exception)
+    before = sorted(tmp_path.rglob("*"))
+    folder = tmp_path / "there" / "far" / "bag"
+    result = run("record", str(folder), "--seconds", "0.2", "--connect", router)
+    assert f"nobody published anything, so there is no bag at {folder}" in str(result.exception)
+    assert sorted(tmp_path.rglob("*")) == before, "nor what was made for it"
+
+
+def test_an_empty_bag_takes_nothing_with_it_that_is_not_its_own(tmp_path) -> None:
+    with BagRecorder(tmp_path / "far" / "bag"):
+        (tmp_path / "far" / "bag" / "notes.txt").write_text("of somebody")
+        (tmp_path / "far" / "else").mkdir()
+    left = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*"))
+    assert left == ["far", "far/bag", "far/bag/notes.txt", "far/else"]
+    with suppress(KeyboardInterrupt), BagRecorder(tmp_path / "near" / "bag"):
+        raise KeyboardInterrupt
+    assert not (tmp_path / "near").exists()
 
 
 def test_what_is_put_for_many_is_of_nobody(silent_map, caplog) -> None:
