@@ -2,6 +2,7 @@
 
 import sys
 
+from clients.examples import run
 from clients.map_client import MapClient
 
 PLACES = [[0.0, 0.0], [1.5, 2.0], [100.0, 100.0]]
@@ -19,4 +20,4 @@ def main(url: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["http://127.0.0.1:8080"])
+    run(main, "http://127.0.0.1:8080")

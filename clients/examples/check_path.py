@@ -4,6 +4,7 @@ import sys
 
 import numpy as np
 
+from clients.examples import run
 from clients.map_client import MapClient
 
 START, GOAL = (0.0, 0.0), (1.0, 1.0)
@@ -25,4 +26,4 @@ def main(url: str) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["http://127.0.0.1:8080"])
+    run(main, "http://127.0.0.1:8080")

@@ -5,6 +5,8 @@ from pathlib import Path
 
 import httpx
 
+from clients.examples import run
+
 
 def main(url: str, file: str = "clusters.geojson") -> None:
     """Write the file; coordinates are metres."""
@@ -14,4 +16,4 @@ def main(url: str, file: str = "clusters.geojson") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["http://127.0.0.1:8080"])
+    run(main, "http://127.0.0.1:8080")

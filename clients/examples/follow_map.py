@@ -5,6 +5,8 @@ import sys
 
 import httpx
 
+from clients.examples import run
+
 
 def main(url: str, count: str = "3") -> None:
     """Print so many pieces of news."""
@@ -23,4 +25,4 @@ def main(url: str, count: str = "3") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["http://127.0.0.1:8080"])
+    run(main, "http://127.0.0.1:8080")

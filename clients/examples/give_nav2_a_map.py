@@ -5,6 +5,7 @@ import sys
 import zipfile
 from pathlib import Path
 
+from clients.examples import run
 from clients.map_client import MapClient
 
 RESOLUTION_M = 0.1
@@ -24,4 +25,4 @@ def main(url: str, folder: str = "nav2-map") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["http://127.0.0.1:8080"])
+    run(main, "http://127.0.0.1:8080")

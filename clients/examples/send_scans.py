@@ -5,6 +5,7 @@ from math import pi
 
 import numpy as np
 
+from clients.examples import run
 from clients.publisher import ScanPublisher
 from gpom_core import Pose2D, Scan
 
@@ -24,4 +25,4 @@ def main(endpoint: str, robot: str = "my-robot") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:] or ["tcp/127.0.0.1:7447"])
+    run(main, "tcp/127.0.0.1:7447")

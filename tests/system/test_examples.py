@@ -4,10 +4,13 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
+from runpy import run_module
 
 import pytest
 
+from clients.link import SessionSettings
 from clients.map_client import MapClient
 
 ROOT = Path(__file__).parents[2]
@@ -65,3 +68,21 @@ def test_examples_run(script: str, addresses: tuple[str, str], tmp_path: Path) -
     said = run(script, endpoint if script == "send_scans" else url, folder=tmp_path)
 
     assert re.search(EXPECTED[script], said, flags=re.MULTILINE), said
+
+
+@pytest.mark.parametrize("script", sorted(EXPECTED))
+def test_without_a_service_an_example_says_so_in_one_line(
+    script: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    nowhere = "tcp/127.0.0.1:1" if script == "send_scans" else "http://127.0.0.1:1"
+    monkeypatch.setattr(sys, "argv", [script, nowhere])
+    quick = partial(SessionSettings, connect_timeout_s=0.1)
+    monkeypatch.setattr("clients.publisher.SessionSettings", quick)
+
+    with pytest.raises(SystemExit) as ended:
+        run_module(f"clients.examples.{script}", run_name="__main__")
+
+    said = str(ended.value.code)  # Python prints it, and ends with 1
+    assert nowhere in said
+    assert said.endswith("Is `gpom serve` running there?")
+    assert len(said.splitlines()) == 1
