@@ -31,6 +31,7 @@ from gpom_core.wire import renumber
 
 _TELL_TIMEOUT_S = 3.0
 _RETRY_S = 0.2
+_ASK_AGAIN_S = 0.05  # while it is not known where the stream is; the first scan waits for that
 _STUCK_S = 10.0
 
 _logger = logging.getLogger(__name__)
@@ -260,7 +261,8 @@ class ReliableLink:
 
     def _step(self) -> bool:
         with self._changed:
-            self._changed.wait_for(self._has_work, self._settings.silence_s / 4)
+            patience_s = self._settings.silence_s / 4 if self._synced else _ASK_AGAIN_S
+            self._changed.wait_for(self._has_work, patience_s)
             if self._over():
                 return False
             while self._acks and not self._over():
