@@ -28,7 +28,7 @@ from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
 
 SCANS = 40
-"""A mapper keeps as many. With 64 likelihood gains half a percent, for 1.6 x the time."""
+"""A mapper keeps as many. With 64 likelihood gains a percent, for 1.6 x the time."""
 
 BEAMS = 40  # of a scan that are asked for; next to each other they would tell much less
 _MARGIN_M = 0.2  # before a hit nothing is called free

@@ -10,6 +10,7 @@ import numpy as np
 
 from clients.contenders import Contender, has_both, set_aside
 from clients.protocol import Bools, Floats, LabelledPoints, hit_ends, labelled_points
+from gpom_core.baselines import CountingGrid
 from gpom_core.metrics import negative_log_likelihood
 from gpom_core.scan import Scan
 
@@ -23,6 +24,9 @@ SPARSE_STEPS = 400
 _SPARSE_BATCH = 1024
 _SPARSE_RATE = 0.02
 _SPARSE_LENGTH_M = 0.5  # to begin with
+_SPARSE_JITTER = 1e-4  # inducing points come close to each other
+_HIT_WEIGHT, _PRIOR_COUNT = 20.0, 0.2
+GRIDS_M = (0.05, 0.07, 0.1, 0.15, 0.2)
 _SEED = 3
 _BATCH = 4096
 
@@ -59,6 +63,57 @@ def octomap_map(training: Sequence[Scan], resolution_m: float) -> Contender:
         "memory_bytes": tree.memoryUsage(),
     }
     return Contender("OctoMap", predict, facts)
+
+
+def calibrated_grids(training: Sequence[Scan], _resolution_m: float) -> Contender:
+    """Counting grids of five sizes, and a logistic regression on hits, misses and log odds of each.
+
+    The regression is scikit-learn's, on every fifth training scan and grids of the others; so it is
+    calibrated much as the map is, and tells what a process adds to counting. Unknown stays at 0.5.
+    """
+    from sklearn.linear_model import LogisticRegression
+    from sklearn.pipeline import make_pipeline
+    from sklearn.preprocessing import StandardScaler
+
+    started = perf_counter()
+    rest, aside = set_aside(training)
+    model = make_pipeline(
+        StandardScaler(with_mean=False),
+        LogisticRegression(C=0.25, fit_intercept=False, max_iter=1000),
+    )
+    fitted = has_both(aside)
+    if fitted:
+        model.fit(_counted(_counting(rest), aside.points), aside.occupied)
+    grids = _counting(training)
+
+    def predict(points: Floats) -> tuple[Floats, Bools]:
+        counts = _counted(grids, points)
+        known = np.asarray(counts.any(axis=1), np.bool_)
+        occupancy = model.predict_proba(counts)[:, 1] if fitted else np.full(len(points), 0.5)
+        return occupancy, known
+
+    facts = {
+        "build_s": round(perf_counter() - started, 4),
+        "memory_bytes": sum(grid.size_bytes for grid in grids),
+    }
+    return Contender("calibrated grids", predict, facts)
+
+
+def _counting(scans: Sequence[Scan]) -> list[CountingGrid]:
+    grids = [CountingGrid(edge_m) for edge_m in GRIDS_M]
+    for scan in scans:
+        for grid in grids:
+            grid.add(np.array(scan.pose[:2]), hit_ends(scan))
+    return grids
+
+
+def _counted(grids: Sequence[CountingGrid], points: Floats) -> Floats:
+    columns = []
+    for grid in grids:
+        hits, misses = grid.counts(points)
+        odds = (_HIT_WEIGHT * hits + _PRIOR_COUNT) / (misses + _PRIOR_COUNT)
+        columns += [np.log1p(hits), np.log1p(misses), np.log(odds)]
+    return np.column_stack(columns)
 
 
 def gp_classifier(training: Sequence[Scan], _resolution_m: float) -> Contender:
@@ -116,12 +171,14 @@ def sparse_gp(training: Sequence[Scan], _resolution_m: float) -> Contender:
     likelihood = gpytorch.likelihoods.BernoulliLikelihood()
     bound = gpytorch.mlls.VariationalELBO(likelihood, process, num_data=len(x))
     steps = torch.optim.Adam(process.parameters(), lr=_SPARSE_RATE)
-    for _ in range(SPARSE_STEPS):
-        some = torch.randint(len(x), (_SPARSE_BATCH,))
-        steps.zero_grad()
-        loss = -bound(process(x[some]), y[some])
-        loss.backward()
-        steps.step()
+    jitter = gpytorch.settings.cholesky_jitter(_SPARSE_JITTER, _SPARSE_JITTER)
+    with jitter:
+        for _ in range(SPARSE_STEPS):
+            some = torch.randint(len(x), (_SPARSE_BATCH,))
+            steps.zero_grad()
+            loss = -bound(process(x[some]), y[some])
+            loss.backward()
+            steps.step()
     process.eval()
     facts = {
         "points_used": len(points),
@@ -132,7 +189,7 @@ def sparse_gp(training: Sequence[Scan], _resolution_m: float) -> Contender:
     }
 
     def predict(asked: Floats) -> tuple[Floats, Bools]:
-        with torch.no_grad():
+        with torch.no_grad(), jitter:
             parts = [
                 likelihood(process(torch.as_tensor(part, dtype=torch.float32))).mean.numpy()
                 for part in np.array_split(asked, -(-len(asked) // _BATCH))
@@ -198,6 +255,7 @@ def _asking(model: object) -> Callable[[Floats], tuple[Floats, Bools]]:
 
 
 PEERS: dict[str, tuple[str, str, Builder]] = {
+    "calibrated grids": ("sklearn", "scikit-learn", calibrated_grids),
     "OctoMap": ("octomap", "octomap-python", octomap_map),
     "GP classifier": ("sklearn", "scikit-learn", gp_classifier),
     "Hilbert map": ("sklearn", "scikit-learn", hilbert_map),
