@@ -5,13 +5,16 @@ and the passes at the very place weigh, H and F:
 
     log(p / (1 - p)) = a m + b ((m + k w)^3 - (k w)^3) + c log(1 + H) - d log(1 + F) + w (e + f u)
 
-Every term vanishes where nothing is known, so unknown space stays at one half; more mean or more
-hits are never less probability, more passes never more. The cubic is what evidence that contradicts
-itself needs (an expert's mean is then near the share of hits, and so is the probability). The two
-logarithms are what a grid knows and a process smooths over: how often this very place was hit and
-passed, however sure it is of both. The last term is for the edges of known space: half-known places
-are where beams end. The probit link of the paper, Phi(a m / sqrt(1 + a^2 v)), has none of them
-(measured in docs/accuracy.md); `gpom_core.calibration` has it for the batch maps of the paper.
+Every term vanishes where nothing is known, so unknown space stays at one half. For one link and one
+u, more mean or more hits are never less probability, more passes never more; what is seen again
+may still move m and u, by another length scale, and the weights, by another calibration.
+
+The cubic is what evidence that contradicts itself needs (an expert's mean is then near the share of
+hits, and so is the probability). The two logarithms are what a grid knows and a process smooths
+over: how often this very place was hit and passed, however sure it is of both. The last term is for
+the edges of known space: half-known places are where beams end. The probit link of the paper,
+Phi(a m / sqrt(1 + a^2 v)), has none of them (measured in docs/accuracy.md);
+`gpom_core.calibration` has it for the batch maps of the paper.
 """
 
 from __future__ import annotations
