@@ -15,7 +15,7 @@ Rooms, from the ground up; each may use those above it in this list, and gpom_co
 5. simulate: robots that drive and scan. protocol: how accuracy is measured. dispatch: scans sent
    when they are due.
 6. replay: a log as one robot or several. fleet: robots of one process on the way to the map.
-   contenders: maps to measure. options: that commands share.
+   contenders: maps to measure. options: that commands share. output: files that they write.
    examination: what is wrong with a fleet.
 7. demo, doctor, evaluate, record, *_command: the commands.
 8. cli: the command line.

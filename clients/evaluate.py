@@ -22,12 +22,12 @@ from clients.protocol import (
     far_from_beams,
     held_out_points,
     parse_share,
+    points_to_ask,
     read_scans,
     split,
     thin,
 )
 from gpom_core.committee import Fusion
-from gpom_core.errors import ConfigurationError
 from gpom_core.scan import Scan
 
 __all__ = ["Trial", "evaluate", "evaluate_command", "held_out_points", "prepare", "report", "thin"]
@@ -71,16 +71,11 @@ def prepare(
         far_m: also score the points farther than this from every training beam.
 
     Raises:
-        ConfigurationError: the log has too few scans, or a value is out of range.
+        ConfigurationError: the log has too few scans or hits, or a value is out of range.
     """
     training, held_out = split(scans)
     training = thin(training, share)
-    test = held_out_points(scans, seed)
-    if test.occupied.all() or not test.occupied.any():
-        raise ConfigurationError(
-            f"{log} has {len(held_out)} held-out scans with {len(test)} test points; expected hits "
-            "and passing beams in at least one: the log needs six scans or more"
-        )
+    test = points_to_ask(log, scans, seed)
     far = None
     if far_m is not None:
         far = test.where(far_from_beams(test.points, training, far_m))

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import ValidationError
 
 from gpom_core.config import MapConfig
 from gpom_core.errors import ConfigurationError
@@ -19,20 +20,54 @@ def as_yaml(config: MapConfig) -> str:
 
 
 def read_config(path: Path | None) -> MapConfig:
-    """The `map` section of a file of settings; the defaults without one.
+    """The section `map` of a file of settings; the defaults without a file.
+
+    Other sections are those of `gpom serve`, and passed over.
 
     Raises:
-        ConfigurationError: it cannot be read, or a setting is wrong.
+        ConfigurationError: it cannot be read, has no such section, or a setting is wrong.
     """
     if path is None:
         return MapConfig()
+    section = _section(_load(path), path)
+    try:
+        return MapConfig.model_validate(section)
+    except ValidationError as error:
+        problems = "; ".join(
+            f"{'.'.join(map(str, ('map', *item['loc'])))}: {item['msg']}, got {item['input']!r}"
+            for item in error.errors(include_url=False)
+        )
+        raise ConfigurationError(f"bad settings in {path}: {problems}") from error
+
+
+def _load(path: Path) -> Any:
     try:
         with path.open(encoding="utf-8") as file:
-            content = yaml.load(file, _Loader) or {}  # noqa: S506 - a safe one
-        return MapConfig(**content.get("map", {}))
-    except (OSError, AttributeError, TypeError, ValueError, LookupError, yaml.YAMLError) as error:
+            return yaml.load(file, _Loader)  # noqa: S506 - a safe one
+    except OSError as error:
+        raise ConfigurationError(f"cannot read {path}: {error.strerror or error}") from error
+    except (AttributeError, TypeError, ValueError, LookupError, yaml.YAMLError) as error:
         message = f"{path} holds no settings of a map under the key `map`: {error}"
         raise ConfigurationError(message) from error
+
+
+def _section(content: Any, path: Path) -> dict[Any, Any]:
+    """The settings under `map`, which are nowhere else."""
+    if content is not None and not isinstance(content, dict):
+        raise ConfigurationError(f"{path} holds no settings; expected `map:` and lines under it")
+    content = content or {}
+    if misplaced := sorted(name for name in MapConfig.model_fields if name in content):
+        stands = "stands" if len(misplaced) == 1 else "stand"
+        raise ConfigurationError(f"{', '.join(misplaced)} {stands} under `map:`; see {path}")
+    if "map" not in content:
+        message = f"{path} has no section `map`; expected the settings of the map under `map:`"
+        raise ConfigurationError(message)
+    section = content["map"]
+    if not isinstance(section, dict):
+        raise ConfigurationError(
+            f"`map` of {path} is {section!r}; expected lines `name: value` under it"
+        )
+    return section
 
 
 class _Loader(yaml.SafeLoader):

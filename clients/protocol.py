@@ -142,6 +142,39 @@ def labelled_points(
     return LabelledPoints(points, occupied).where(chosen)
 
 
+def lacking(test: LabelledPoints) -> str | None:
+    """What test points do not have of what they need, for people; None for nothing."""
+    if len(test) == 0:
+        return f"no hit: all beams are no-returns, invalid or longer than {RANGE_CAP_M:g} m"
+    if test.occupied.all():
+        return f"no passing beam: all hits are nearer than {SHORTEST_FREE_BEAM_M:g} m"
+    return None if test.occupied.any() else "no hit"
+
+
+def points_to_ask(log: str, scans: Sequence[Scan], seed: int) -> LabelledPoints:
+    """Draw the test points of a log, hits and points that beams passed.
+
+    Args:
+        log: name of the log, for the error.
+        scans: all scans of the log, in order.
+
+    Raises:
+        ConfigurationError: no scan is held out, or those that are lack hits or passing beams.
+    """
+    _, held_out = split(scans)
+    if not held_out:
+        raise ConfigurationError(
+            f"{log} has {len(scans)} scans; expected six scans or more, since scans 5, 15, 25 … "
+            "are held out to test the map"
+        )
+    test = labelled_points(held_out, seed)
+    if missing := lacking(test):
+        raise ConfigurationError(
+            f"{log} cannot test a map: its held-out scans (5, 15, 25 …) have {missing}"
+        )
+    return test
+
+
 def held_out_points(
     scans: Sequence[Scan], seed: int, keep: int | None = KEPT_POINTS
 ) -> LabelledPoints:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from clients.answers import MapPrediction
 from clients.map_client import MapClient
 from clients.options import DEFAULT_URL, Fusion, Url, parse_box
+from clients.output import cannot_write, write
 from gpom_core.errors import ConfigurationError, InvalidQueryError
 
 COLUMNS = ("x", "y", "occupancy", "mean", "variance", "known")
@@ -94,7 +95,7 @@ def export(
         if box is None:
             raise InvalidQueryError("the map is empty, so it has no extent; give one with --bbox")
         content = client.raster(box, resolution_m, layer, file_format)
-    _write(output, content)
+    write(output, content)
     typer.echo(f"wrote {output} ({len(content)} bytes)", err=True)
 
 
@@ -167,7 +168,7 @@ def _write_answer(points: NDArray[np.float64], answer: MapPrediction, output: Pa
         try:
             np.save(output, np.column_stack([points, *columns]))
         except OSError as error:
-            raise _cannot_write(output, error) from error
+            raise cannot_write(output, error) from error
         return
     rows = [",".join(COLUMNS)]
     rows += [
@@ -180,15 +181,4 @@ def _write_answer(points: NDArray[np.float64], answer: MapPrediction, output: Pa
     if output is None:
         sys.stdout.write(text)
     else:
-        _write(output, text.encode())
-
-
-def _write(path: Path, content: bytes) -> None:
-    try:
-        path.write_bytes(content)
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-
-
-def _cannot_write(path: Path, error: OSError) -> ConfigurationError:
-    return ConfigurationError(f"cannot write {path}: {error.strerror or error}")
+        write(output, text.encode())

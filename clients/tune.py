@@ -19,7 +19,16 @@ from pydantic import ValidationError
 from rich.console import Console
 
 from clients.map_settings import as_yaml, read_config
-from clients.protocol import LabelledPoints, labelled_points, parse_share, read_scans, split, thin
+from clients.output import require_file, write
+from clients.protocol import (
+    LabelledPoints,
+    labelled_points,
+    lacking,
+    parse_share,
+    read_scans,
+    split,
+    thin,
+)
 from gpom_core.config import MapConfig
 from gpom_core.errors import ConfigurationError
 from gpom_core.mapper import Mapper
@@ -81,12 +90,15 @@ class Outcome:
         return self.gained / max(self.training_ms, 1e-9)
 
 
-def cases_of(scans: Sequence[Scan], folds: int, shares: Sequence[Fraction]) -> list[Case]:
+def cases_of(
+    scans: Sequence[Scan], folds: int, shares: Sequence[Fraction], log_name: str = "the log"
+) -> list[Case]:
     """Cross-validation within the training scans of a log.
 
     Args:
         scans: all scans of a log, in order. folds: each fold is left out once.
         shares: of the scans of the other folds that build the map.
+        log_name: for the errors.
 
     Raises:
         ConfigurationError: fewer folds than two, or a fold without hits and passing beams.
@@ -94,15 +106,20 @@ def cases_of(scans: Sequence[Scan], folds: int, shares: Sequence[Fraction]) -> l
     if folds < 2:
         raise ConfigurationError(f"folds is {folds}; expected at least 2")
     training, _ = split(scans)
+    if len(training) < folds:
+        raise ConfigurationError(
+            f"{log_name} has {len(training)} training scans for {folds} folds; expected one or "
+            "more in every fold: use fewer folds or a longer log"
+        )
     cases = []
     for fold in range(folds):
         aside = training[fold::folds]
         rest = [scan for i, scan in enumerate(training) if i % folds != fold]
         test = labelled_points(aside, _SEED + fold, _VALIDATION_POINTS)
-        if not rest or test.occupied.all() or not test.occupied.any():
+        if missing := lacking(test):
             raise ConfigurationError(
-                f"fold {fold} of {folds} has {len(aside)} scans with {len(test)} points; expected "
-                "hits and passing beams in every fold: use fewer folds or a longer log"
+                f"the {len(aside)} training scans in fold {fold} of {folds} of {log_name} have "
+                f"{missing}; expected hits and passing beams in every fold"
             )
         cases += [Case(thin(rest, share), test) for share in shares]
     return cases
@@ -177,7 +194,9 @@ def tune(
     """
     parts = [parse_share(text) for text in shares.split(",")]
     start = read_config(config)
-    cases = [case for path in logs for case in cases_of(read_scans(path), folds, parts)]
+    cases = [case for path in logs for case in cases_of(read_scans(path), folds, parts, str(path))]
+    if output is not None:
+        require_file(output)
     console = Console(stderr=True)
     console.print(f"{len(cases)} maps a trial")
     measure(start, [replace(cases[0], training=cases[0].training[:1])])  # compiles
@@ -193,9 +212,9 @@ def tune(
     if best is None:
         raise ConfigurationError("no configuration was tried; expected at least one trial")
     text = f"# {_line(best)}\n" + as_yaml(best.config)
-    if output is not None:
-        output.write_text(text, encoding="utf-8")
     typer.echo(text, nl=False)
+    if output is not None:
+        write(output, text.encode())
 
 
 def _line(outcome: Outcome) -> str:

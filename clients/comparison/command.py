@@ -1,6 +1,8 @@
 """The command `gpom compare`."""
 
 import json
+from collections import Counter
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +12,11 @@ from rich.console import Console
 
 from clients.comparison.peers import missing_peers
 from clients.comparison.report import as_dict, as_markdown
-from clients.comparison.study import Round, play
+from clients.comparison.study import Round, draw_tests, play
 from clients.map_settings import read_config
+from clients.output import require_folder, write
 from clients.protocol import parse_share, read_scans
+from gpom_core.errors import ConfigurationError
 
 
 def compare(
@@ -26,39 +30,67 @@ def compare(
     ] = None,
     config: Annotated[Path | None, typer.Option(help="YAML file of the map's settings.")] = None,
     peers: Annotated[
-        bool, typer.Option(help="Also OctoMap and scikit-learn's maps, where installed.")
+        bool, typer.Option(help="Also maps of OctoMap, scikit-learn and GPyTorch, where installed.")
     ] = True,
 ) -> None:
     """Score the map beside grids and other methods on the same held-out points.
 
     Scans 5, 15, 25 … are held out; nothing is fitted on them. Prints Markdown.
     """
+    # what was asked is refused before the work, not after
     parts = sorted({parse_share(text) for text in shares.split(",")}, reverse=True)
     settings = read_config(config)
+    sites = {label: read_scans(path) for label, path in labels(logs).items()}
+    for label, scans in sites.items():
+        draw_tests(label, scans, draws)
+    if output is not None:
+        require_folder(output)
     console = Console(stderr=True)
     missing = missing_peers() if peers else {}
     for name, package in missing.items():
         console.print(f"{name} takes no part: {package} is not installed")
     rounds: list[Round] = []
-    for path in logs:
-        scans = read_scans(path)
-        for share in parts:
-            console.print(f"{path.name}: share {share} of the training scans", highlight=False)
-            name = path.name.partition(".")[0]
-            one = play(name, scans, share, draws, config=settings, with_peers=peers)
-            rounds.append(one)
-            if output is not None:  # a long run that is stopped leaves what it has
-                _write(output, rounds, missing)
+    try:
+        for label, scans in sites.items():
+            for share in parts:
+                console.print(f"{label}: share {share} of the training scans", highlight=False)
+                one = play(label, scans, share, draws, config=settings, with_peers=peers)
+                rounds.append(one)
+                if output is not None:
+                    _write(output, rounds, missing)
+    finally:
+        if rounds:  # a long run that is stopped leaves what it has
+            typer.echo(as_markdown(rounds, missing), nl=False)
     if output is not None:
         _draw(output, rounds, console)
-    typer.echo(as_markdown(rounds, missing), nl=False)
+
+
+def labels(logs: Sequence[Path]) -> dict[str, Path]:
+    """Name every log: by the first word of its file's name, all of the name, or the path.
+
+    Raises:
+        ConfigurationError: a log is given twice.
+    """
+    real = Counter(path.resolve() for path in logs)
+    if twice := [str(path) for path in logs if real[path.resolve()] > 1]:
+        raise ConfigurationError(f"{' and '.join(twice)} are the same log; name it once")
+    words = Counter(_first_word(path) for path in logs)
+    names = Counter(path.name for path in logs)
+    named = {}
+    for path in logs:
+        label = path.name if names[path.name] == 1 else str(path)
+        named[_first_word(path) if words[_first_word(path)] == 1 else label] = path
+    return named
+
+
+def _first_word(path: Path) -> str:
+    return path.name.partition(".")[0] or path.name
 
 
 def _write(folder: Path, rounds: list[Round], missing: dict[str, str]) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
     document = json.dumps(as_dict(rounds, missing), indent=1)
-    (folder / "comparison.json").write_text(document + "\n", encoding="utf-8")
-    (folder / "comparison.md").write_text(as_markdown(rounds, missing), encoding="utf-8")
+    write(folder / "comparison.json", (document + "\n").encode())
+    write(folder / "comparison.md", as_markdown(rounds, missing).encode())
 
 
 def _draw(folder: Path, rounds: list[Round], console: Console) -> None:

@@ -10,6 +10,7 @@ from clients.comparison.targets import verdicts
 _HEADING = (
     "Mean of {draws} draws of the held-out test points, ± their standard deviation for AUC and NLL."
 )
+_ONE_DRAW = "One draw of the held-out test points."
 _HEADS = ("AUC", "NLL", "Brier", "ECE", "unknown")
 _THERE = ("points a draw", "occupied", "predicted", "AUC", "NLL", "ECE", "unknown")
 _COSTS = ("log", "share", "method", "built in, s", "points/s", "MB")
@@ -36,14 +37,15 @@ def as_dict(rounds: Sequence[Round], missing: dict[str, str]) -> dict[str, objec
 
 def as_markdown(rounds: Sequence[Round], missing: dict[str, str]) -> str:
     """Four tables: the scores, the scores by place, what they cost, and the targets."""
+    draws = rounds[0].draws if rounds else 0
     lines = [
-        _HEADING.format(draws=rounds[0].draws if rounds else 0),
+        _ONE_DRAW if draws == 1 else _HEADING.format(draws=draws),
         "",
         _row("log", "share", "method", *_HEADS),
         _row(*["---"] * (3 + len(_HEADS))),
     ]
     lines += [
-        _row(one.log, str(one.share), result.method, *_cells(result))
+        _row(one.log, str(one.share), result.method, *_cells(result, one.draws))
         for one in rounds
         for result in one.results
     ]
@@ -78,10 +80,10 @@ def as_markdown(rounds: Sequence[Round], missing: dict[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _cells(result: Result) -> list[str]:
+def _cells(result: Result, draws: int) -> list[str]:
     s = result.scores
     return [
-        _both(s["auc"], 4), _both(s["nll"], 4), f"{s['brier'].mean:.4f}",
+        _both(s["auc"], draws), _both(s["nll"], draws), f"{s['brier'].mean:.4f}",
         f"{s['ece'].mean:.4f}", f"{s['share_unknown'].mean:.4f}",
     ]  # fmt: skip
 
@@ -103,8 +105,9 @@ def _costs(result: Result) -> list[str]:
     return [f"{seconds:.3g}", rate, memory]
 
 
-def _both(value: Spread, digits: int) -> str:
-    return f"{value.mean:.{digits}f} ± {value.std:.{digits}f}"
+def _both(value: Spread, draws: int) -> str:
+    """Mean and spread; one draw has none."""
+    return f"{value.mean:.4f} ± {value.std:.4f}" if draws > 1 else f"{value.mean:.4f}"
 
 
 def _row(*cells: str) -> str:

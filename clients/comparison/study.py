@@ -14,7 +14,7 @@ from clients.protocol import (
     Bools,
     Floats,
     LabelledPoints,
-    labelled_points,
+    points_to_ask,
     split,
     thin,
 )
@@ -96,6 +96,17 @@ class Round:
         return next(result for result in self.results if result.method == method)
 
 
+def draw_tests(log: str, scans: Sequence[Scan], draws: int) -> list[LabelledPoints]:
+    """The test points of every draw; their seeds are 0, 1, 2 and so on.
+
+    Raises:
+        ConfigurationError: no draw, or the log has too few scans or hits.
+    """
+    if draws < 1:
+        raise ConfigurationError(f"draws is {draws}; expected one or more")
+    return [points_to_ask(log, scans, seed) for seed in range(draws)]
+
+
 def play(
     log: str,
     scans: Sequence[Scan],
@@ -108,19 +119,13 @@ def play(
     """Build every method from a share of the training scans and score it on held-out points.
 
     Args:
-        scans: all scans of the log, in order. draws: of the test points, seeds 0, 1, 2 …
+        scans: all scans of the log, in order. draws: of the test points.
 
     Raises:
-        ConfigurationError: the log has too few scans.
+        ConfigurationError: the log has too few scans or hits.
     """
-    training, held_out = split(scans)
-    training = thin(training, share)
-    tests = [labelled_points(held_out, seed) for seed in range(draws)]
-    if not tests or any(test.occupied.all() or not test.occupied.any() for test in tests):
-        raise ConfigurationError(
-            f"{log} has {len(held_out)} held-out scans, {draws} draws were asked for; expected one "
-            "draw or more, of hits and passing beams: the log needs six scans or more"
-        )
+    tests = draw_tests(log, scans, draws)
+    training = thin(split(scans)[0], share)
     points = np.concatenate([test.points for test in tests])
     where = {
         place: mask

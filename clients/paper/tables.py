@@ -100,12 +100,15 @@ def time_table(trials: Sequence[Results], ratios: Mapping[str, Any]) -> str:
     )
 
 
+def _both(score: Mapping[str, float]) -> str:
+    """Mean and spread; a single seed has none."""
+    mean, std = score["mean"], score["std"]
+    return f"{mean:.4f} ± {std:.4f}" if std > 0.0 else f"{mean:.4f}"
+
+
 def accuracy_table(summary: Mapping[str, Any], region: str, title: str) -> str:
     """Scores of every map over one region."""
-    rows = [
-        [name, *(f"{by[region][k]['mean']:.4f} ± {by[region][k]['std']:.4f}" for k in KEYS)]
-        for name, by in summary.items()
-    ]
+    rows = [[name, *(_both(by[region][k]) for k in KEYS)] for name, by in summary.items()]
     return f"## Scores: {title}\n\n" + _table(["map", "AUC", "NLL", "Brier", "ECE"], rows)
 
 

@@ -1,6 +1,7 @@
 """The comparison: everyone is asked the same, promises are judged as stated, files are written."""
 
 import json
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import typer
 from typer.testing import CliRunner
 
 from clients.comparison import peers, study
-from clients.comparison.command import compare
+from clients.comparison.command import compare, labels
 from clients.comparison.places import AT, BEFORE, BEHIND, FAR, OPEN, places
+from clients.comparison.report import as_markdown
 from clients.comparison.study import SCORES, Result, Round, Spread, play
 from clients.comparison.targets import ALL, GRID, MAP, TENTH, THIRD, TUNED_GRID, verdicts
+from clients.errors import LogReadError
 from clients.protocol import labelled_points, split
 from gpom_core.errors import ConfigurationError
 from gpom_core.metrics import reliability_curve
@@ -51,6 +54,52 @@ def test_all_methods_answer_the_same_points() -> None:
 def test_a_log_without_held_out_scans_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="six scans"):
         play("short", SCANS[:4], Fraction(1), draws=1, with_peers=False)
+
+
+def test_a_log_without_hits_is_refused_for_that() -> None:
+    blind = [replace(scan, ranges_m=np.full(len(scan.ranges_m), np.nan)) for scan in SCANS]
+    with pytest.raises(ConfigurationError, match=r"blind .* held-out scans .* have no hit"):
+        play("blind", blind, Fraction(1), draws=1, with_peers=False)
+
+
+def test_logs_have_labels_of_their_own() -> None:
+    paths = [Path(p) for p in ("intel.log", "a/aces.log.gz", "aces.bag", "b/aces.bag", ".log")]
+    assert labels(paths) == dict(
+        zip(["intel", "aces.log.gz", "aces.bag", "b/aces.bag", ".log"], paths, strict=True)
+    )
+    with pytest.raises(ConfigurationError, match=r"a.log and b/../a.log are the same log"):
+        labels([Path("a.log"), Path("b.log"), Path("b/../a.log")])
+
+
+def test_what_is_asked_wrongly_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("clients.comparison.command.play", None)  # a first round would be an error
+    log = room_log(tmp_path / "room.log", SCANS)
+    short = room_log(tmp_path / "short.log", SCANS[:4])
+    with pytest.raises(LogReadError, match="cannot read"):
+        compare([log, tmp_path / "none.log"])
+    with pytest.raises(ConfigurationError, match="short has 4 scans; expected six scans or more"):
+        compare([log, short], output=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(ConfigurationError, match=r"short\.log is a file"):
+        compare([log], output=short)
+
+
+def test_a_run_that_is_stopped_prints_what_it_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ends = iter([one_round(ALL, 0.08, 0.1)])
+    monkeypatch.setattr("clients.comparison.command.play", lambda *_, **__: next(ends))
+    with pytest.raises(StopIteration):
+        compare([room_log(tmp_path / "room.log", SCANS)], shares="1,1/3")
+    assert f"| site | 1 | {MAP} | 0.9900 | 0.0800 |" in capsys.readouterr().out
+
+
+def test_one_draw_has_no_spread() -> None:
+    one = one_round(ALL, 0.08, 0.1)
+    assert "±" not in as_markdown([one], {})
+    assert "0.0800 ± 0.0000" in as_markdown([replace(one, draws=2)], {})
 
 
 def test_every_point_is_in_one_place() -> None:

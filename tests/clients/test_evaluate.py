@@ -168,6 +168,18 @@ def test_a_log_without_held_out_scans_is_refused(room: list[Scan]) -> None:
         prepare("room", room[:5], Fraction(1), seed=0)
 
 
+@pytest.mark.parametrize(
+    ("range_m", "expected"),
+    [(21.0, "no hit: .* longer than 20 m"), (0.2, "no passing beam: all hits are nearer")],
+)
+def test_a_log_that_cannot_test_a_map_is_told_why(
+    room: list[Scan], range_m: float, expected: str
+) -> None:
+    scans = [capped(replace(scan, ranges_m=np.full(BEAMS, range_m))) for scan in room]
+    with pytest.raises(ConfigurationError, match=rf"room cannot test a map: .* {expected}"):
+        prepare("room", scans, Fraction(1), seed=0)
+
+
 def test_far_scores_are_left_out_when_only_one_label_is_there(room: list[Scan]) -> None:
     trial = prepare("room", room, Fraction(1), seed=0, far_m=0.5)
     grid = CountingGrid(0.1)

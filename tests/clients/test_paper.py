@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from clients.paper import command
-from clients.paper.claims import check_claims
+from clients.paper.claims import Claim, check_claims
 from clients.paper.command import paper, require_matplotlib
 from clients.paper.costs import measure_costs
 from clients.paper.experiment import SENSOR, make_experiment
@@ -17,14 +17,23 @@ from clients.paper.methods import GridMethod, paper_methods
 from clients.paper.quadratures import Quadrature
 from clients.paper.regions import cells_of
 from clients.paper.report import Budget
-from clients.paper.tables import summarise
+from clients.paper.tables import accuracy_table, summarise
 from gpom_core import kernels
 from gpom_core.errors import ConfigurationError
 from gpom_core.mixture import beams_of
 
 FIGURES = ["fig1_scene", "fig3_clusters", "fig4_experts", "fig5_maps", "fig6_covariances",
            "fig7_roc"]  # fmt: skip
-TINY = Budget(seeds=1, resolution_m=1.0, cut_beams=False, sizes=(40, 80), experts=(1, 2), workers=0)
+TINY = Budget(seeds=1, resolution_m=1.0, cut_beams=False, sizes=(40, 80), experts=(1, 2), workers=0,
+              coarse=True)  # fmt: skip
+
+
+def run(*arguments):
+    app = typer.Typer()
+    app.command()(paper)
+    result = CliRunner().invoke(app, arguments, catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -118,22 +127,51 @@ def test_claims_are_held_against_the_means():
 @pytest.mark.slow
 def test_the_command_writes_every_figure_and_table(tmp_path, monkeypatch):
     monkeypatch.setattr("clients.paper.report.QUICK", TINY)
-    app = typer.Typer()
-    app.command()(paper)
-    result = CliRunner().invoke(
-        app, ["--output", str(tmp_path / "out"), "--quick", "--workers", "0"],
-        catch_exceptions=False,
-    )  # fmt: skip
-    assert result.exit_code == 0, result.output
+    run("--output", str(tmp_path / "out"), "--quick", "--workers", "0")
     for name in FIGURES:
         assert (tmp_path / "out" / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
     tables = (tmp_path / "out" / "tables.md").read_text()
     assert "Table 1" in tables
     assert "Table 2" in tables
+    assert "too coarse for the claims on speed" in tables
     results = json.loads((tmp_path / "out" / "results.json").read_text())
     assert {"claims", "table1", "quadratures", "fig6", "summary", "speed_ratios"} <= set(results)
     for name in ("grid", "single GP", "DP", "LT", "LT rbcm"):
         assert results["summary"][name]["observed"]["auc"]["mean"] > 0.5
+
+
+@pytest.mark.parametrize(
+    ("arguments", "seeds", "coarse"),
+    [([], 5, False), (["--seeds", "3"], 3, False), (["--quick"], 2, True),
+     (["--quick", "--seeds", "1"], 1, True)],
+)  # fmt: skip
+def test_a_quick_run_takes_the_seeds_and_says_that_it_is_coarse(
+    tmp_path, monkeypatch, arguments, seeds, coarse
+):
+    def reproduce(folder, budget, _say):
+        assert folder.is_dir()
+        assert budget.seeds == seeds
+        return {"duration_s": 0.0}, [Claim("LT: learning is faster", False, "1 time")]
+
+    monkeypatch.setattr("clients.paper.report.reproduce", reproduce)
+    result = run("--output", str(tmp_path / "out"), *arguments)
+    assert ("too coarse for the claims on speed" in " ".join(result.stderr.split())) == coarse
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr("clients.paper.report.reproduce", None)
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigurationError, match="file is a file; expected a folder"):
+        paper(output=tmp_path / "file")
+
+
+def test_a_single_seed_has_no_spread():
+    scores = {"scores": {"observed": dict.fromkeys(("auc", "nll", "brier", "ece"), 0.25)}}
+    other = {"scores": {"observed": dict.fromkeys(("auc", "nll", "brier", "ece"), 0.75)}}
+    summary = summarise([{"DP": scores, "LT": scores}, {"DP": other}])
+    table = accuracy_table(summary, "observed", "here")
+    assert "| DP | 0.5000 ± 0.3536 |" in table
+    assert "| LT | 0.2500 | 0.2500 |" in table
 
 
 def test_says_what_to_install_without_matplotlib(monkeypatch):

@@ -1,5 +1,6 @@
 """Tuning: cross-validation over training scans only, and settings that the service can read."""
 
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -88,6 +89,10 @@ def test_a_file_with_unknown_settings_is_refused(tmp_path: Path) -> None:
         ("map: {cell_m: 2026-13-45}", "holds no settings of a map under the key `map`: month must"),
         ("map: {cell_m: !!bool x}", "holds no settings of a map under the key `map`: 'x'"),
         ("map: {cell_m: \xff}", "holds no settings of a map under the key `map`: 'utf-8'"),
+        ("", "has no section `map`; expected the settings of the map under `map:`"),
+        ("foo: 1", "has no section `map`; expected the settings of the map under `map:`"),
+        ("- 1", "holds no settings; expected `map:` and lines under it"),
+        ("map", "holds no settings; expected `map:` and lines under it"),
     ],
 )
 def test_a_file_that_contradicts_itself_is_refused(
@@ -98,6 +103,36 @@ def test_a_file_that_contradicts_itself_is_refused(
     with pytest.raises(ConfigurationError) as caught:
         read_config(path)
     assert str(caught.value).startswith(f"{path} {expected}")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("map: {foo: 1}", "bad settings in {path}: map.foo: Extra inputs are not permitted, got 1"),
+        ("map: [1]", "`map` of {path} is [1]; expected lines `name: value` under it"),
+        ("map:", "`map` of {path} is None; expected lines `name: value` under it"),
+        ("length_scale_m: 0.3", "length_scale_m stands under `map:`; see {path}"),
+        ("map: {}\nhit_cap: 1\ncell_m: 1", "cell_m, hit_cap stand under `map:`; see {path}"),
+        ("map: {1: 2}", "bad settings in {path}: map.1: Keys should be strings, got 1"),
+    ],
+)
+def test_settings_stand_under_map_alone(tmp_path: Path, text: str, expected: str) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        read_config(path)
+    assert str(caught.value) == expected.format(path=path)
+
+
+def test_a_missing_file_of_settings_is_said_so(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match=r"cannot read .*none\.yaml: No such file"):
+        read_config(tmp_path / "none.yaml")
+
+
+def test_other_sections_of_the_services_file_are_passed_over(tmp_path: Path) -> None:
+    path = tmp_path / "service.yaml"
+    path.write_text("http: {port: 80}\nmap: {cell_m: 0.2}\n")
+    assert read_config(path) == MapConfig(cell_m=0.2)
 
 
 def test_what_a_file_merges_is_not_twice(tmp_path: Path) -> None:
@@ -116,6 +151,22 @@ def test_the_command_prints_and_writes_the_best(tmp_path: Path) -> None:
     assert "best so far" in result.stderr
     assert result.stdout == out.read_text()
     assert read_config(out).length_scale_m > 0.0
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("clients.tune.measure", None)  # a first trial would be an error
+    log = room_log(tmp_path / "room.log", SCANS)
+    with pytest.raises(ConfigurationError, match=r"cannot write .*best\.yaml: No such file"):
+        tune([log], folds=2, output=tmp_path / "none" / "best.yaml")
+
+
+def test_a_log_without_hits_cannot_tune_anything(tmp_path: Path) -> None:
+    blind = replace(SCANS[0], ranges_m=np.full(len(SCANS[0].ranges_m), 29.0))
+    log = room_log(tmp_path / "blind.log", [blind] * 12)
+    with pytest.raises(ConfigurationError, match=r"fold 0 of 2 of .*blind.log have no hit"):
+        tune([log], folds=2)
 
 
 def _nll(result: Outcome) -> float:
