@@ -82,13 +82,20 @@ def prepare(
     return Trial(log, share, seed, training, len(held_out), test, far, far_m or 0.0)
 
 
-def report(trial: Trial, contenders: Sequence[Contender]) -> dict[str, object]:
-    """Ask every contender and give what `gpom evaluate` prints."""
+def report(
+    trial: Trial, contenders: Sequence[Contender], in_service: int | None = None
+) -> dict[str, object]:
+    """Ask every contender and give what `gpom evaluate` prints.
+
+    Args:
+        in_service: scans in the map of the service that is scored; None when none is.
+    """
     summary: dict[str, object] = {
         "log": trial.log,
         "share": str(trial.share),
         "seed": trial.seed,
         "training_scans": len(trial.training),
+        **({} if in_service is None else {"scans_in_service": in_service}),
         "held_out_scans": trial.held_out,
         "points": len(trial.test),
         "occupied_points": int(trial.test.occupied.sum()),
@@ -128,15 +135,29 @@ def evaluate_command(  # noqa: PLR0913, PLR0917 - every option is an argument
     for name in fusions:
         Fusion.named(name)
     trial = prepare(file.name, read_scans(file, topic, map_frame), part, seed, far_m)
-    track = _on_console(Console(stderr=True))
+    console = Console(stderr=True)
+    track, in_service = _on_console(console), None
     with ExitStack() as stack:
         if url is None:
             contenders = gpom_map(trial.training, fusions, track=track)
         else:
-            contenders = running_service(stack.enter_context(MapClient(url)), fusions)
+            client = stack.enter_context(MapClient(url))
+            in_service = client.status().scans_integrated
+            _warn_of_other_scans(trial, in_service, console)
+            contenders = running_service(client, fusions)
         if baselines:
             contenders += grids(trial.training, track)
-        typer.echo(json.dumps(report(trial, contenders), indent=2))
+        typer.echo(json.dumps(report(trial, contenders, in_service), indent=2))
+
+
+def _warn_of_other_scans(trial: Trial, in_service: int, console: Console) -> None:
+    if in_service != len(trial.training):
+        console.print(
+            f"the service holds {in_service} scans and share {trial.share} of the training scans "
+            f"is {len(trial.training)}: its figures are of the map it holds, not of that share",
+            highlight=False,
+            soft_wrap=True,
+        )
 
 
 def _scored(trial: Trial, contender: Contender) -> dict[str, object]:

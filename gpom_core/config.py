@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 FREE_TO_CHANGE = frozenset(
     {
@@ -19,6 +26,10 @@ FREE_TO_CHANGE = frozenset(
 )
 """Settings under which a saved map may go on with another value: they say when and how long experts
 are trained from now on, and what is called known. All others say what evidence is and means."""
+
+
+SIGNAL_RATIO_MAX = 1e4
+"""Of the prior's standard deviation to that of an observation; beyond it float64 is too coarse."""
 
 
 class MapConfig(BaseModel):
@@ -41,8 +52,10 @@ class MapConfig(BaseModel):
     )
     hit_margin_m: float = Field(0.1, ge=0.0, le=1.0, description="not called free before a hit")
     max_range_m: float = Field(30.0, gt=0.0, le=300.0, description="beams are cut here")
-    hit_noise_std: float = Field(0.42, gt=0.0, description="of one hit, in units of the target")
-    free_noise_std: float = Field(2.5, gt=0.0, description="of one traversal")
+    hit_noise_std: float = Field(
+        0.42, ge=0.001, le=1000.0, description="of one hit, in units of the target"
+    )
+    free_noise_std: float = Field(2.5, ge=0.001, le=1000.0, description="of one traversal")
     hit_cap: float = Field(100.0, ge=1.0, description="evidence of a place never counts more")
     free_cap: float = Field(1000.0, ge=1.0)
 
@@ -60,9 +73,12 @@ class MapConfig(BaseModel):
 
     # Experts
     length_scale_m: float = Field(
-        0.2, gt=0.01, description="where a cell was crossed five times; more often less, and v.v."
+        0.2,
+        gt=0.01,
+        le=5.0,
+        description="where a cell was crossed five times; more often less, and v.v.",
     )
-    signal_std: float = Field(1.0, gt=0.0)
+    signal_std: float = Field(1.0, ge=0.01, le=100.0)
     learn_hyperparameters: bool = Field(
         False, description="the length scale of each expert, by marginal likelihood"
     )
@@ -85,8 +101,23 @@ class MapConfig(BaseModel):
             if theirs != getattr(self, name) and name not in FREE_TO_CHANGE
         }
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _no_switch(cls, value: object, info: ValidationInfo) -> object:
+        """Pydantic takes `true` for 1."""
+        name = info.field_name or ""
+        if isinstance(value, bool) and cls.model_fields[name].annotation is not bool:
+            raise ValueError(f"expected {name}, not true or false")
+        return value
+
     @model_validator(mode="after")
-    def _cells_fit(self) -> MapConfig:
+    def _fits_together(self) -> MapConfig:
         if self.hit_cell_m > self.cell_m:
             raise ValueError("hit_cell_m must not exceed cell_m: a hit belongs to one free area")
+        for name in ("hit_noise_std", "free_noise_std"):
+            if getattr(self, name) < self.signal_std / SIGNAL_RATIO_MAX:
+                raise ValueError(
+                    f"{name} must not be below signal_std / {SIGNAL_RATIO_MAX:g}: "
+                    "covariances would be singular"
+                )
         return self

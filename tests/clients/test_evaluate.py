@@ -11,7 +11,7 @@ import pytest
 import typer
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from clients.contenders import Contender, grids
 from clients.errors import LogReadError
@@ -46,12 +46,16 @@ def log(tmp_path: Path, room: list[Scan]) -> Path:
     return room_log(tmp_path / "room.log", room)
 
 
-def run(*arguments: str) -> dict:
+def invoke(*arguments: str) -> Result:
     app = typer.Typer()
     app.command()(evaluate_command)
     result = CliRunner().invoke(app, arguments, catch_exceptions=False)
     assert result.exit_code == 0, result.output
-    return json.loads(result.stdout)
+    return result
+
+
+def run(*arguments: str) -> dict:
+    return json.loads(invoke(*arguments).stdout)
 
 
 def test_scans_5_15_25_are_held_out(room: list[Scan]) -> None:
@@ -213,6 +217,22 @@ def test_the_command_scores_a_running_service_and_builds_nothing(log: Path) -> N
     assert ours["share_unknown"] == np.mean(points[:, 0] <= 0.0)
     assert ours["experts"] == STATUS["experts"]
     assert "build_s" not in ours
+
+
+@pytest.mark.parametrize(("share", "scans", "other"), [("1/4", 9, True), ("1/3", 12, False)])
+def test_the_command_warns_when_the_service_holds_other_scans(
+    log: Path, share: str, scans: int, other: bool
+) -> None:
+    with running_http_map() as service:
+        status = json.dumps(STATUS | {"scans_integrated": 12}).encode()
+        service.answers["/v1/status"] = 200, "application/json", status
+        result = invoke(str(log), "--url", service.url, "--share", share)
+    told = json.loads(result.stdout)
+    assert told["training_scans"] == scans
+    assert told["scans_in_service"] == 12
+    expected = f"holds 12 scans and share {share} of the training scans is {scans}: its figures"
+    assert (expected in result.stderr) == other
+    assert bool(result.stderr) == other
 
 
 def test_an_unknown_fusion_rule_is_refused_before_any_work(tmp_path: Path) -> None:

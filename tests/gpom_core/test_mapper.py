@@ -377,3 +377,16 @@ def test_a_refresh_trains_also_what_is_hardly_news() -> None:
     assert fresh.sum() < lazy.sum()
     mapper.refresh()
     assert mapper.dirty_count == 0
+
+
+@pytest.mark.parametrize(
+    ("signal", "hit", "free", "length"),
+    [(100.0, 0.01, 0.01, 5.0), (0.01, 0.001, 1e3, 0.011)],
+)
+def test_settings_at_their_bounds_still_give_numbers(
+    signal: float, hit: float, free: float, length: float
+) -> None:
+    scales = {"signal_std": signal, "hit_noise_std": hit, "free_noise_std": free}
+    mapper = mapper_of(look(0.3, 0.2), length_scale_m=length, **scales)
+    answer = mapper.train().query(POINTS[:30])
+    assert np.isfinite([answer.occupancy, answer.mean, answer.variance]).all()
