@@ -131,7 +131,7 @@ def grids(training: Sequence[Scan], track: Track = untracked) -> list[Contender]
         counting[resolution_m] = count
         for label, grid in (("counting grid", count), ("log-odds grid", log_odds)):
             title = f"{label} {resolution_m * 100:g} cm"
-            seconds = _fill(grid, track(training, title))
+            seconds = fill(grid, track(training, title))
             facts: dict[str, object] = {"build_s": seconds, "resolution_m": resolution_m}
             contenders.append(Contender(title, grid.occupancy, facts))
     chosen = _best_counting(*set_aside(training))[1]
@@ -152,9 +152,7 @@ def chosen_grids(training: Sequence[Scan]) -> list[Contender]:
         "counting grid tuned": CountingGrid(tuned.resolution_m, tuned.model),
         "log-odds grid": LogOddsGrid(log_odds.resolution_m),
     }
-    return [
-        _entered(name, grid, {"build_s": _fill(grid, training)}) for name, grid in whole.items()
-    ]
+    return [_entered(name, grid, {"build_s": fill(grid, training)}) for name, grid in whole.items()]
 
 
 def log_odds_grids(training: Sequence[Scan]) -> list[Contender]:
@@ -162,7 +160,7 @@ def log_odds_grids(training: Sequence[Scan]) -> list[Contender]:
     contenders = []
     for resolution_m in RESOLUTIONS_M:
         grid = LogOddsGrid(resolution_m)
-        facts = {"build_s": _fill(grid, training)}
+        facts = {"build_s": fill(grid, training)}
         contenders.append(_entered(f"log-odds grid {resolution_m * 100:g} cm", grid, facts))
     return contenders
 
@@ -196,7 +194,7 @@ def _best(candidates: Sequence[GridT], rest: Sequence[Scan], points: LabelledPoi
     if not has_both(points):
         return candidates[len(candidates) // 2]
     for grid in candidates:
-        _fill(grid, rest)
+        fill(grid, rest)
     return best_by_likelihood(candidates, points.points, points.occupied)
 
 
@@ -212,7 +210,8 @@ def has_both(points: LabelledPoints) -> bool:
     return bool(points.occupied.any() and not points.occupied.all())
 
 
-def _fill(grid: OccupancyGrid, scans: Iterable[Scan]) -> float:
+def fill(grid: OccupancyGrid, scans: Iterable[Scan]) -> float:
+    """Add scans to a grid; how long that took, s."""
     started = perf_counter()
     for scan in scans:
         grid.add(np.array(scan.pose[:2]), hit_ends(scan))

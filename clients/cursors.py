@@ -8,8 +8,7 @@ import logging
 import struct
 from collections.abc import Callable
 from enum import Enum
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import zenoh
 
@@ -53,17 +52,6 @@ class Cursors:
         self._tell = on_ack
         self._warned = False
         self._subscriber = session.declare_subscriber(keys.ack, self._on_ack)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def ask(self) -> Cursor | Unknown:
         """Ask the map where the stream is.

@@ -22,7 +22,6 @@ from clients.protocol import (
     far_from_beams,
     held_out_points,
     parse_share,
-    points_to_ask,
     read_scans,
     split,
     thin,
@@ -75,27 +74,20 @@ def prepare(
     """
     training, held_out = split(scans)
     training = thin(training, share)
-    test = points_to_ask(log, scans, seed)
+    test = held_out_points(scans, seed, log=log)
     far = None
     if far_m is not None:
         far = test.where(far_from_beams(test.points, training, far_m))
     return Trial(log, share, seed, training, len(held_out), test, far, far_m or 0.0)
 
 
-def report(
-    trial: Trial, contenders: Sequence[Contender], in_service: int | None = None
-) -> dict[str, object]:
-    """Ask every contender and give what `gpom evaluate` prints.
-
-    Args:
-        in_service: scans in the map of the service that is scored; None when none is.
-    """
+def report(trial: Trial, contenders: Sequence[Contender]) -> dict[str, object]:
+    """Ask every contender and give what `gpom evaluate` prints."""
     summary: dict[str, object] = {
         "log": trial.log,
         "share": str(trial.share),
         "seed": trial.seed,
         "training_scans": len(trial.training),
-        **({} if in_service is None else {"scans_in_service": in_service}),
         "held_out_scans": trial.held_out,
         "points": len(trial.test),
         "occupied_points": int(trial.test.occupied.sum()),
@@ -136,21 +128,19 @@ def evaluate_command(  # noqa: PLR0913, PLR0917 - every option is an argument
         Fusion.named(name)
     trial = prepare(file.name, read_scans(file, topic, map_frame), part, seed, far_m)
     console = Console(stderr=True)
-    track, in_service = _on_console(console), None
+    track = _on_console(console)
     with ExitStack() as stack:
         if url is None:
             contenders = gpom_map(trial.training, fusions, track=track)
         else:
-            client = stack.enter_context(MapClient(url))
-            in_service = client.status().scans_integrated
-            _warn_of_other_scans(trial, in_service, console)
-            contenders = running_service(client, fusions)
+            contenders = running_service(stack.enter_context(MapClient(url)), fusions)
+            _warn_of_other_scans(trial, contenders[0].facts["scans_integrated"], console)
         if baselines:
             contenders += grids(trial.training, track)
-        typer.echo(json.dumps(report(trial, contenders, in_service), indent=2))
+        typer.echo(json.dumps(report(trial, contenders), indent=2))
 
 
-def _warn_of_other_scans(trial: Trial, in_service: int, console: Console) -> None:
+def _warn_of_other_scans(trial: Trial, in_service: object, console: Console) -> None:
     if in_service != len(trial.training):
         console.print(
             f"the service holds {in_service} scans and share {trial.share} of the training scans "

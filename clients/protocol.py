@@ -151,12 +151,14 @@ def lacking(test: LabelledPoints) -> str | None:
     return None if test.occupied.any() else "no hit"
 
 
-def points_to_ask(log: str, scans: Sequence[Scan], seed: int) -> LabelledPoints:
-    """Draw the test points of a log, hits and points that beams passed.
+def held_out_points(
+    scans: Sequence[Scan], seed: int, keep: int | None = KEPT_POINTS, log: str = "the log"
+) -> LabelledPoints:
+    """Draw the test points of a log from its held-out scans: hits, and points that beams passed.
 
     Args:
-        log: name of the log, for the error.
         scans: all scans of the log, in order.
+        log: its name, for the error.
 
     Raises:
         ConfigurationError: no scan is held out, or those that are lack hits or passing beams.
@@ -167,19 +169,12 @@ def points_to_ask(log: str, scans: Sequence[Scan], seed: int) -> LabelledPoints:
             f"{log} has {len(scans)} scans; expected six scans or more, since scans 5, 15, 25 … "
             "are held out to test the map"
         )
-    test = labelled_points(held_out, seed)
+    test = labelled_points(held_out, seed, keep)
     if missing := lacking(test):
         raise ConfigurationError(
             f"{log} cannot test a map: its held-out scans (5, 15, 25 …) have {missing}"
         )
     return test
-
-
-def held_out_points(
-    scans: Sequence[Scan], seed: int, keep: int | None = KEPT_POINTS
-) -> LabelledPoints:
-    """Draw the test points of a log from its held-out scans; `scans` are all, in order."""
-    return labelled_points(split(scans)[1], seed, keep)
 
 
 def far_from_beams(points: Floats, training: Sequence[Scan], distance_m: float) -> Bools:

@@ -12,10 +12,10 @@ from rich.console import Console
 
 from clients.comparison.peers import missing_peers
 from clients.comparison.report import as_dict, as_markdown
-from clients.comparison.study import Round, draw_tests, play
+from clients.comparison.study import Round, play
 from clients.map_settings import read_config
 from clients.output import require_folder, write
-from clients.protocol import parse_share, read_scans
+from clients.protocol import held_out_points, parse_share, read_scans
 from gpom_core.errors import ConfigurationError
 
 
@@ -42,7 +42,7 @@ def compare(
     settings = read_config(config)
     sites = {label: read_scans(path) for label, path in labels(logs).items()}
     for label, scans in sites.items():
-        draw_tests(label, scans, draws)
+        held_out_points(scans, seed=0, log=label)
     if output is not None:
         require_folder(output)
     console = Console(stderr=True)

@@ -8,7 +8,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
-from clients.contenders import Contender, has_both, set_aside
+from clients.contenders import Contender, fill, has_both, set_aside
 from clients.protocol import Bools, Floats, LabelledPoints, hit_ends, labelled_points
 from gpom_core.baselines import CountingGrid
 from gpom_core.metrics import negative_log_likelihood
@@ -101,9 +101,8 @@ def calibrated_grids(training: Sequence[Scan], _resolution_m: float) -> Contende
 
 def _counting(scans: Sequence[Scan]) -> list[CountingGrid]:
     grids = [CountingGrid(edge_m) for edge_m in GRIDS_M]
-    for scan in scans:
-        for grid in grids:
-            grid.add(np.array(scan.pose[:2]), hit_ends(scan))
+    for grid in grids:
+        fill(grid, scans)
     return grids
 
 

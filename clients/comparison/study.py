@@ -14,7 +14,7 @@ from clients.protocol import (
     Bools,
     Floats,
     LabelledPoints,
-    points_to_ask,
+    held_out_points,
     split,
     thin,
 )
@@ -96,17 +96,6 @@ class Round:
         return next(result for result in self.results if result.method == method)
 
 
-def draw_tests(log: str, scans: Sequence[Scan], draws: int) -> list[LabelledPoints]:
-    """The test points of every draw; their seeds are 0, 1, 2 and so on.
-
-    Raises:
-        ConfigurationError: no draw, or the log has too few scans or hits.
-    """
-    if draws < 1:
-        raise ConfigurationError(f"draws is {draws}; expected one or more")
-    return [points_to_ask(log, scans, seed) for seed in range(draws)]
-
-
 def play(
     log: str,
     scans: Sequence[Scan],
@@ -119,12 +108,14 @@ def play(
     """Build every method from a share of the training scans and score it on held-out points.
 
     Args:
-        scans: all scans of the log, in order. draws: of the test points.
+        scans: all scans of the log, in order. draws: of the test points, seeds 0, 1, 2 …
 
     Raises:
-        ConfigurationError: the log has too few scans or hits.
+        ConfigurationError: no draw, or the log has too few scans or hits.
     """
-    tests = draw_tests(log, scans, draws)
+    if draws < 1:
+        raise ConfigurationError(f"draws is {draws}; expected one or more")
+    tests = [held_out_points(scans, seed, log=log) for seed in range(draws)]
     training = thin(split(scans)[0], share)
     points = np.concatenate([test.points for test in tests])
     where = {

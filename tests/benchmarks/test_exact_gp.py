@@ -6,12 +6,11 @@ difference is what dividing costs. Each is calibrated on its own evidence, left 
 
 import os
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from clients.protocol import LabelledPoints, hit_ends, labelled_points, read_scans, split
+from clients.protocol import LabelledPoints, hit_ends, labelled_points, split
 from gpom_core.config import MapConfig
 from gpom_core.expert import Hyperparameters
 from gpom_core.mapper import Mapper
@@ -20,6 +19,7 @@ from gpom_core.metrics import negative_log_likelihood
 from gpom_core.observations import Observations
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
+from tests.benchmarks.logs import real_log
 
 WINDOW_M = 2.5
 EVERY = 3  # training scans that are used
@@ -93,10 +93,7 @@ def at_border(points: np.ndarray, parts: list[Observations], length_m: float) ->
 @pytest.mark.benchmark
 @pytest.mark.timeout(1200)
 def test_committee_beside_the_exact_process() -> None:
-    path = Path(os.environ.get("GPOM_DATA", "")) / "intel.corrected.log.gz"
-    if not path.is_file():
-        pytest.skip("needs intel.corrected.log.gz in the folder named by GPOM_DATA")
-    training, held_out = split(read_scans(path))
+    training, held_out = split(real_log("intel"))
     test = labelled_points(held_out, seed=0)
     corners = windows(test, int(os.environ.get("GPOM_WINDOWS", "3")))
     print(f"\n{'experts of':>10} {'rule':6}{'NLL':>8}{'d mean':>8}{'border':>8}{'var ratio':>10}")

@@ -1,18 +1,17 @@
 """Free areas beside free segments, judged on training scans that are set aside."""
 
-import os
 from fractions import Fraction
-from pathlib import Path
 from time import process_time
 
 import numpy as np
 import pytest
 
-from clients.protocol import labelled_points, read_scans, split, thin
+from clients.protocol import labelled_points, split, thin
 from gpom_core.config import MapConfig
 from gpom_core.mapper import Mapper
 from gpom_core.metrics import negative_log_likelihood
 from gpom_core.scan import Scan
+from tests.benchmarks.logs import real_log
 
 KINDS = {
     "areas": MapConfig(),
@@ -40,10 +39,7 @@ def trained(scans: list[Scan], config: MapConfig) -> tuple[Mapper, float]:
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("log", ["intel", "fr101", "aces"])
 def test_free_evidence(log: str) -> None:
-    path = Path(os.environ.get("GPOM_DATA", "")) / f"{log}.corrected.log.gz"
-    if not path.exists():
-        pytest.skip(f"no {path.name} in GPOM_DATA")
-    training, _ = split(read_scans(path))
+    training, _ = split(real_log(log))
     aside = training[SET_ASIDE]
     rest = [scan for scan in training if scan not in aside]
     test = labelled_points(aside, seed=0, keep=POINTS)

@@ -6,22 +6,21 @@ trees that also get hits and passes smoothed over five widths and distances to t
 map itself, which never sees a held-out scan, is scored on the same points.
 """
 
-import os
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
-from clients.protocol import hit_ends, labelled_points, read_scans, split, thin
+from clients.protocol import hit_ends, labelled_points, split, thin
 from gpom_core.committee import OF_HITS, OF_INFORMATION, OF_PASSES, OF_PRECISION
 from gpom_core.link import fit, take_logarithms
 from gpom_core.mapper import Mapper
 from gpom_core.metrics import negative_log_likelihood
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
+from tests.benchmarks.logs import real_log
 
 SHARES = (Fraction(1), Fraction(1, 10))
 BLOCKS = 20
@@ -88,10 +87,7 @@ def linked(features: np.ndarray, occupied: np.ndarray, teaches: np.ndarray) -> n
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("log", ["intel", "fr101", "aces", "fr079"])
 def test_what_is_left_to_gain(log: str) -> None:
-    path = Path(os.environ.get("GPOM_DATA", "")) / f"{log}.corrected.log.gz"
-    if not path.exists():
-        pytest.skip(f"no {path.name} in GPOM_DATA")
-    training, held_out = split(read_scans(path))
+    training, held_out = split(real_log(log))
     tests = [labelled_points([scan], seed=i, keep=None) for i, scan in enumerate(held_out)]
     points = np.concatenate([test.points for test in tests])
     occupied = np.concatenate([test.occupied for test in tests])

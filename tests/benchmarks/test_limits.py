@@ -4,32 +4,24 @@ Short before surfaces, between the beams of thin maps, under another order of sc
 averages would move with other held-out scans.
 """
 
-import os
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clients.contenders import chosen_grids, gpom_map
-from clients.protocol import Predict, far_from_beams, labelled_points, read_scans, split, thin
+from clients.protocol import Predict, far_from_beams, labelled_points, split, thin
 from gpom_core.mapper import Mapper
 from gpom_core.metrics import negative_log_likelihood
 from gpom_core.scan import Scan
 from gpom_core.snapshot import Snapshot
+from tests.benchmarks.logs import real_log
 
 BANDS_M = ((0.05, 0.1), (0.1, 0.2), (0.2, 0.3), (0.3, 0.5))
 GAP_M = (0.1, 0.2)  # from the nearest training beam
 SHARES = (Fraction(1), Fraction(1, 10))
 RESAMPLED = 200
 PLACES = 20_000
-
-
-def log_of(name: str) -> tuple[list[Scan], list[Scan]]:
-    path = Path(os.environ.get("GPOM_DATA", "")) / f"{name}.corrected.log.gz"
-    if not path.exists():
-        pytest.skip(f"no {path.name} in GPOM_DATA")
-    return split(read_scans(path))
 
 
 def short_of_hits(scans: list[Scan], low_m: float, high_m: float) -> np.ndarray:
@@ -69,7 +61,7 @@ def spread_over_scans(predict: Predict, held_out: list[Scan]) -> tuple[float, fl
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("log", ["intel", "fr101", "aces"])
 def test_short_before_surfaces_and_between_beams(log: str) -> None:
-    training, held_out = log_of(log)
+    training, held_out = split(real_log(log))
     for share in SHARES:
         scans = thin(training, share)
         test = labelled_points(held_out, seed=0, keep=None)
@@ -92,7 +84,7 @@ def test_short_before_surfaces_and_between_beams(log: str) -> None:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("log", "share"), [("intel", "1/10"), ("fr101", "1/3"), ("intel", "1")])
 def test_another_order(log: str, share: str) -> None:
-    training, held_out = log_of(log)
+    training, held_out = split(real_log(log))
     scans = thin(training, Fraction(share))
     test = labelled_points(held_out, seed=0)
     low, high = test.points.min(axis=0), test.points.max(axis=0)

@@ -1,6 +1,7 @@
 """What is said to many, on a key with wildcards, is not said of this stream."""
 
 import struct
+from contextlib import closing
 
 import zenoh
 
@@ -45,7 +46,7 @@ def test_a_cursor_of_many_is_no_answer(silent_map) -> None:
     own: list[Cursor] = []
     queryable = silent_map.session.declare_queryable(wild, answer)
     settings = SessionSettings([silent_map.endpoint])
-    with open_session(settings) as session, Cursors(session, KEYS, print) as cursors:
+    with open_session(settings) as session, closing(Cursors(session, KEYS, print)) as cursors:
         assert cursors.ask() is Unknown.MAP
         own.append(Cursor(5, 6))
         assert cursors.ask() == Cursor(5, 6)

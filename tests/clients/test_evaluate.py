@@ -229,7 +229,7 @@ def test_the_command_warns_when_the_service_holds_other_scans(
         result = invoke(str(log), "--url", service.url, "--share", share)
     told = json.loads(result.stdout)
     assert told["training_scans"] == scans
-    assert told["scans_in_service"] == 12
+    assert [of["scans_integrated"] for of in told["methods"].values()] == [12]
     expected = f"holds 12 scans and share {share} of the training scans is {scans}: its figures"
     assert (expected in result.stderr) == other
     assert bool(result.stderr) == other
